@@ -151,6 +151,14 @@ class Reader:
         if (kind := content.get("kind")) not in by_kind:
             problem = f"found {kind!r}" if "kind" in content else "missing"
             raise self.error(f"{where}.kind: {problem}; allowed: {', '.join(by_kind)}")
+        keys = {name: dict(self._fields(each)).keys() for name, each in by_kind.items()}
+        unknown = content.keys() - {"kind"} - keys[kind]
+        others = [name for name in keys if unknown <= keys[name]]
+        if unknown and others:
+            raise self.error(
+                f"{where}: unknown {', '.join(sorted(map(str, unknown)))} with kind {kind}; kind "
+                f"{' or '.join(others)} has it; known: {', '.join(keys[kind])}"
+            )
         return self.build(by_kind[kind], content, where)
 
     def key_of(self, each: dataclasses.Field[Any]) -> str:

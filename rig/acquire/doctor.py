@@ -262,7 +262,29 @@ def _stream(
     wrong = _values(bench, row, handle.latest(), measured)
     if wrong is not None:
         return Finding(row.name, "FAULT", f"{text}; {wrong[0]}", wrong[1:])
+    if automatic := description.get("automatic"):
+        text += (
+            f"; automatic {', '.join(automatic)}: changes of the picture may be the camera's own"
+        )
+        cures = tuple(
+            _MANUAL[each].format(key=row.key, at=_address(row.config)) for each in automatic
+        )
+        return Finding(row.name, "note", text, cures)
+    if bench.mock and row.kind == "camera":
+        nodes = ", ".join(sorted(map(str, Path("/dev").glob("video[0-9]*"))))
+        stands_in = "tests/rig/test_camera_v4l2.py tests that driver on an emulated one"
+        nodes = nodes or f"no video device here: {stands_in}"
+        text += f"; a USB camera has kind v4l2 ({nodes})"
     return Finding(row.name, "well", text)
+
+
+# How to switch off what a V4L2 camera sets by itself.
+_MANUAL = {
+    "exposure": "{key}.exposure_ms in the bench file, below one period",
+    "white balance": "v4l2-ctl -d {at} -c white_balance_automatic=0 (older Linux: "
+    "white_balance_temperature_auto=0)",
+    "focus": "v4l2-ctl -d {at} -c focus_automatic_continuous=0 (older Linux: focus_auto=0)",
+}
 
 
 def _rate_cures(row: BenchStream, rate: float) -> tuple[str, ...]:

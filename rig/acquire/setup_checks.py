@@ -397,13 +397,15 @@ def camera(row: BenchStream, picture: Any, dev: Path = Path("/dev")) -> Iterator
     grey = whole_grey(picture).astype(np.float32)
     saturated = float(np.mean(grey >= SATURATED))
     brightest = float(np.quantile(grey, 0.99))
-    exposure = row.config.exposure
-    set_to = "" if exposure is None else f" (now {1e3 * exposure:g})"
+    exposure = "exposure on the camera's own server"
+    if hasattr(row.config, "exposure"):
+        set_to = row.config.exposure and f" (now {1e3 * row.config.exposure:g})"
+        exposure = f"{row.key}.exposure_ms{set_to or ''} below one period"
     text = f"{saturated:.1%} of the picture saturated, brightest parts {brightest:.0f} of 255"
     if saturated > SATURATED_MOST:
-        cure = f"a shorter {row.key}.exposure_ms{set_to}, or less light"
+        cure = f"a shorter {exposure}, or less light"
     else:
-        cure = f"a longer {row.key}.exposure_ms{set_to} below one period, or more light"
+        cure = f"a longer {exposure}, or more light"
     good = saturated <= SATURATED_MOST and brightest >= BRIGHTEST_LEAST
     yield _finding(f"{row.name} exposure", good, text, cure)
     width = edge_width(grey)

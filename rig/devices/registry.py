@@ -17,7 +17,7 @@ from rig.core.driver import Driver
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES
 from rig.devices.arm.settings import ArmConfig, PoseConfig, WrenchConfig
-from rig.devices.camera.settings import CameraConfig
+from rig.devices.camera.settings import MjpegConfig, V4l2Config
 from rig.devices.force.settings import NetFtConfig, NidaqConfig, ScaleConfig
 from rig.devices.gripper.settings import RobotiqConfig
 from rig.devices.hid.settings import PedalConfig, SpaceMouseConfig
@@ -111,15 +111,20 @@ DEVICES = {
             {"protocol": "kern", "address": "runfolder/scale", "rate_hz": 50.0},
         ),
         Device(
-            CameraConfig,
-            "rig.devices.camera.camera:camera_driver",
-            "rig.devices.camera.mjpeg_emulator",
-            (
+            V4l2Config,
+            "rig.devices.camera.camera:V4l2Driver",
+            cures=(
                 "v4l2-ctl --list-devices: is it there, under {at}? "
                 "Close other programs that show it",
                 "sudo usermod -a -G video $USER, then log in again",
                 "a USB 3 port of its own; exposure_ms below one period, or a brighter light",
             ),
+        ),
+        Device(
+            MjpegConfig,
+            "rig.devices.camera.camera:MjpegDriver",
+            "rig.devices.camera.mjpeg_emulator",
+            ("start the camera's server, and open {at} in a browser", "ping its address"),
             {"address": "http://loopback:8090/"},
         ),
         Device(

@@ -217,7 +217,7 @@ class MockBench(ProcessGroup):
                 yield kind, kind, getattr(bench, key), content[key], PORTS[kind]
         for number, (name, config) in enumerate((bench.streams or {}).items()):
             section = content["streams"][name]
-            if registry.device(config.KIND).emulator:
+            if registry.device(config.KIND).emulator or not hasattr(config, "host"):
                 yield f"{name}.device", config.STREAM, config, section, _NAMED_PORTS + number
             elif getattr(config, "host", None) != bench.arm.host:
                 # The arm's own controller serves further readers.

@@ -15,7 +15,7 @@ from rig.core.errors import DeviceLost
 from rig.core.playback import FAILED, POSITION, SYNC, position_path, stated_rate, sync_path
 from rig.core.shared_memory import SharedLatest
 from rig.devices.arm.settings import ArmConfig, PoseConfig, WrenchConfig
-from rig.devices.camera.settings import CameraConfig
+from rig.devices.camera.settings import MjpegConfig
 from rig.devices.force.netft_emulator import force_page
 from rig.devices.force.settings import NetFtConfig
 from rig.devices.taxels.settings import XelaConfig
@@ -167,7 +167,7 @@ def _device(session: Session, name: str, host: str, speed: float) -> Any:
         address = f"ws://{host}:5000"
         return XelaConfig(address, taxels=taxels, rate_hz=stated_rate(stream), silence=silence)
     height, width, _ = stream.layout.columns[0].column.shape
-    return CameraConfig(
+    return MjpegConfig(
         address=f"http://{host}:8090/",
         rate_hz=stated_rate(stream),
         width=width,

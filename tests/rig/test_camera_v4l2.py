@@ -45,7 +45,7 @@ static int node = -1, count, waiting[BUFFERS], n_waiting, done[BUFFERS], n_done,
 static unsigned format = V4L2_PIX_FMT_YUYV;
 static long tick, taken;
 static double t0;
-static int exposure_auto = 3, exposure = 166, gain = 64;
+static int exposure_auto = 3, exposure = 166, gain = 64, white_auto = 1;
 static unsigned char jpeg[SIZE];
 static long jpeg_bytes;
 
@@ -130,6 +130,7 @@ static int refuse(int why) { errno = why; return -1; }
 static int control(struct v4l2_control *c, int set) {
     int *value = c->id == V4L2_CID_EXPOSURE_AUTO ? &exposure_auto
                : c->id == V4L2_CID_EXPOSURE_ABSOLUTE ? &exposure
+               : c->id == V4L2_CID_AUTO_WHITE_BALANCE ? &white_auto
                : c->id == V4L2_CID_GAIN ? &gain : 0;
     if (!value) return refuse(EINVAL);
     if (!set) c->value = *value;
@@ -220,14 +221,14 @@ int ioctl(int fd, unsigned long code, ...) {
 CLIENT = """
 import json, sys
 import numpy as np
-from rig.devices.camera.settings import CameraConfig
+from rig.devices.camera.settings import V4l2Config
 from rig.devices.camera.jpeg import frame_stamp
 from rig.devices.camera.camera import V4l2Driver
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 
 options = {"address": "/dev/video77", "rate_hz": 100.0} | json.loads(sys.argv[1])
-driver = V4l2Driver(CameraConfig(**options), SystemClock())
+driver = V4l2Driver(V4l2Config(**options), SystemClock())
 found = {"samples": [], "error": None}
 try:
     driver.open(1.0)
@@ -286,6 +287,7 @@ def test_jpeg_frames_carry_the_buffers_own_monotonic_time_until_the_camera_is_un
     assert found["properties"]["device_clock"] == "monotonic"
     assert found["properties"]["stamp"] == "end"
     assert found["properties"]["rate_hz"] == 100.0
+    assert found["properties"]["automatic"] == ["white balance"]  # the exposure was set
     assert len(found["samples"]) >= 35
     for sample in found["samples"]:
         number, t_ns = sample["stamp"]
@@ -301,6 +303,7 @@ def test_frames_that_the_node_lost_are_gaps_and_times_may_be_of_the_start_of_exp
 ) -> None:
     found = seen(shim, {}, skip_every=7, unplug_after=60, stamp_at_start=1)
     assert found["properties"]["stamp"] == "start"
+    assert found["properties"]["automatic"] == ["exposure", "white balance"]
     numbers = [sample["seq"] for sample in found["samples"]]
     assert all(number % 7 for number in numbers)
     lost = numbers[-1] - numbers[0] + 1 - len(numbers)

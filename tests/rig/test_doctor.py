@@ -53,6 +53,7 @@ def test_a_healthy_bench_is_well_and_each_wrong_device_is_named(
     devices = ["arm", "force", "pose", "camera"]
     assert list(well) == ["plan", "disk", "real time", "computer", "clock", *devices]
     assert not [one for one in well.values() if one.state == "FAULT"]
+    assert "a USB camera has kind v4l2" in well["camera"].text
 
     wrong = {
         **started,

@@ -21,9 +21,9 @@ from rig.devices.arm.emulated_controller import Controller
 from rig.devices.arm.emulator import ArmEmulator
 from rig.devices.arm.reader import RtdePoseDriver
 from rig.devices.arm.settings import ArmConfig
-from rig.devices.camera.camera import OpenCvDriver
+from rig.devices.camera.camera import MjpegDriver
 from rig.devices.camera.mjpeg_emulator import MjpegEmulator, MjpegEmulatorConfig, rendered
-from rig.devices.camera.settings import CameraConfig
+from rig.devices.camera.settings import MjpegConfig
 from rig.devices.force.netft import NetFtDriver
 from rig.devices.force.netft_emulator import NetFtEmulator, NetFtEmulatorConfig
 from rig.devices.force.settings import NetFtConfig
@@ -183,9 +183,9 @@ def _mjpeg(host: str, silence: float) -> tuple[Any, Any, Callable[..., Any]]:
     rng = np.random.default_rng(0)
     image = rng.integers(0, 255, (480, 640, 3)).astype(np.uint8)
     source = rendered(lambda state: image)
-    config = CameraConfig(f"http://{host}:8090/", rate_hz=60.0, silence=silence)
+    config = MjpegConfig(f"http://{host}:8090/", rate_hz=60.0, silence=silence)
     emulator = MjpegEmulator(MjpegEmulatorConfig(config, host=host), source, None, CLOCK)
-    return emulator, OpenCvDriver(config, CLOCK), emulator.faults.inject
+    return emulator, MjpegDriver(config, CLOCK), emulator.faults.inject
 
 
 def _arm(host: str, silence: float) -> tuple[Any, Any, Callable[..., Any]]:

@@ -217,7 +217,7 @@ def test_a_latency_becomes_the_attributes_of_its_stream(tmp_path: Path) -> None:
     assert attrs["latency"] == pytest.approx(0.0467)
     assert attrs["latency_calibration"]["interval_s"] == pytest.approx([0.046, 0.0474])
     assert found.stream_attrs("force") == {}
-    foreign = dataclasses.replace(measured, device="opencv /dev/video7")
+    foreign = dataclasses.replace(measured, device="v4l2 /dev/video7")
     store.store(tmp_path, "gelsight", latency=foreign)
     with pytest.raises(ConfigError, match="another camera"):
         store.load(tmp_path, bench, "prism")

@@ -404,7 +404,7 @@ def test_a_lab_bench_is_used_without_gauge_by_its_file_and_at_a_terminal_only(
     path = tmp_path / "lab.yaml"
     path.write_text(
         f"extends: {BENCHES / 'gelsight.yaml'}\nmock: false\nworld: null\nsimulated: null\n"
-        f"force: {force}\ncamera: {{kind: camera, address: /dev/video9, rate_hz: 30.0}}\n"
+        f"force: {force}\ncamera: {{kind: v4l2, address: /dev/video9, rate_hz: 30.0}}\n"
         "arm: {host: 192.0.2.1}\n"
     )
     monkeypatch.setattr(sys, "stdin", io.StringIO())

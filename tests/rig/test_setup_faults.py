@@ -27,6 +27,7 @@ from rig.core.samples import WORLD_STATE
 from rig.devices.arm.emulated_controller import Controller
 from rig.devices.arm.emulator import ArmEmulator
 from rig.devices.camera.mjpeg_emulator import through_lens
+from rig.devices.camera.settings import V4l2Config
 from rig.devices.gripper.robotiq_emulator import RobotiqEmulatorConfig
 from rig.devices.gripper.robotiq_emulator import emulate as emulate_gripper
 from rig.devices.gripper.settings import RobotiqConfig
@@ -75,17 +76,18 @@ class Site:
         world = AnalyticWorld(self.bench.world, (0.0,) * 6)
         return WorldHost(world, None, None, None)  # type: ignore[arg-type]
 
-    def filmed(self, gain: float, blur: float, **config: Any) -> list[Finding]:
+    def filmed(self, gain: float, blur: float, config: Any = None) -> list[Finding]:
         """Take a picture of the sensor through a lens."""
         spec = self.bench.world
         state = np.zeros(1, WORLD_STATE)[0]
         image = MarkerCamera(spec.markers, grey_noise=1.0).image(surface_of(spec, state))
         jpeg = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1].tobytes()
-        row = self.changed(camera=config).row("camera") if config else self.bench.row("camera")
+        row = replace(self.bench, camera=config or self.bench.camera).row("camera")
         return list(checks.camera(row, through_lens(jpeg, gain, blur), self.folder))
 
     def measured(self, name: str, *lost: str, **found: Any) -> Finding:
         """Examine a stream whose process measured this, or lost its device."""
+        description = {"automatic": found.pop("automatic", [])}
 
         def check() -> None:
             if lost:
@@ -97,7 +99,7 @@ class Site:
             check=check,
             latest=lambda: found.get("latest"),
         )
-        return doctor._stream(self.bench, self.bench.row(name), handle, {})  # type: ignore[arg-type]
+        return doctor._stream(self.bench, self.bench.row(name), handle, description)  # type: ignore[arg-type]
 
 
 def force_of(world: WorldHost, tip: tuple[float, float, float] = (0, 0, 0.03)) -> np.ndarray:
@@ -195,7 +197,7 @@ def shifted_camera(site: Site) -> Iterable[Finding]:
     (site.folder / "v4l" / "by-id" / "usb-046d_C270-video-index0").symlink_to(
         site.folder / "video0"
     )
-    return site.filmed(1.0, 0.0, address="/dev/video0")
+    return site.filmed(1.0, 0.0, V4l2Config("/dev/video0"))
 
 
 PREFLIGHT = BenchFile.read(BENCHES / "gelsight.yaml").bench.preflight
@@ -273,12 +275,12 @@ FAULTS: dict[str, tuple[Callable[[Site], Any], tuple[str, str, str]]] = {
         ("force axes", "+x appears as +y, +y as -x", "turned by 90 degrees"),
     ),
     "exposure too long": (
-        lambda s: s.filmed(2.5, 0),
-        ("camera exposure", "saturated", "a shorter camera.exposure_ms"),
+        lambda s: s.filmed(2.5, 0, V4l2Config(exposure=0.02)),
+        ("camera exposure", "saturated", "a shorter camera.exposure_ms (now 20) below one period"),
     ),
     "exposure too short": (
         lambda s: s.filmed(0.2, 0),
-        ("camera exposure", "brightest parts", "a longer camera.exposure_ms"),
+        ("camera exposure", "brightest parts", "a longer exposure on the camera's own server"),
     ),
     "defocused": (lambda s: s.filmed(1, 5), ("camera focus", "px wide", "turn the lens")),
     "camera by a number": (
@@ -288,6 +290,10 @@ FAULTS: dict[str, tuple[Callable[[Site], Any], tuple[str, str, str]]] = {
     "camera at half rate": (
         lambda s: s.measured("camera", rate_hz=15.0),
         ("camera", "50% too slow", "lock the exposure"),
+    ),
+    "camera that sets itself": (
+        lambda s: s.measured("camera", rate_hz=30.0, automatic=["exposure", "focus"]),
+        ("camera", "automatic exposure, focus", "focus_automatic_continuous=0"),
     ),
     "gauge unplugged": (
         lambda s: s.measured("force", "force: no record for 0.6 s", rate_hz=0.0),
@@ -310,7 +316,8 @@ def test_each_fault_is_named_with_its_cure(site: Site, name: str) -> None:
     findings = found(site)
     findings = [findings] if isinstance(findings, Finding) else list(findings)
     named = next(each for each in findings if each.part == part)
-    assert named.state == ("note" if part in ("real time", "camera name") else "FAULT")
+    noted = part in ("real time", "camera name") or name == "camera that sets itself"
+    assert named.state == ("note" if noted else "FAULT")
     assert words in named.text
     assert any(cure in each for each in named.cures)
 

@@ -31,8 +31,8 @@ taxels: {kind: xela, address: "ws://loopback:5000", rate_hz: 20.0}
 preflight: {timeout: 20.0}
 limits: {stale_force_ms: 2000.0, stale_pose_ms: 2000.0, duration_max_min: 60.0}
 streams:
-  side: {kind: camera, address: "http://loopback:8082/", rate_hz: 10.0}
-  room: {kind: camera, address: "http://loopback:8083/", rate_hz: 5.0, roles: [], align: nearest}
+  side: {kind: mjpeg, address: "http://loopback:8082/", rate_hz: 10.0}
+  room: {kind: mjpeg, address: "http://loopback:8083/", rate_hz: 5.0, roles: [], align: nearest}
   left: {kind: netft, host: loopback, http_port: 8090, udp_port: 49153, rate_hz: 200.0}
   right: {kind: netft, host: loopback, http_port: 8091, udp_port: 49154, rate_hz: 100.0,
           roles: [label]}
@@ -94,7 +94,7 @@ def test_null_removes_a_device_and_every_named_stream(tmp_path: Path) -> None:
     assert [row.name for row in bench.gauges] == ["force"]
 
 
-CAMERA = {"kind": "camera", "address": "http://loopback:8085/", "rate_hz": 10.0}
+CAMERA = {"kind": "mjpeg", "address": "http://loopback:8085/", "rate_hz": 10.0}
 
 
 @pytest.mark.parametrize(
@@ -107,8 +107,14 @@ CAMERA = {"kind": "camera", "address": "http://loopback:8085/", "rate_hz": 10.0}
         ({"x": {**CAMERA, "roles": ["guard"]}}, "streams.x.roles: found guard"),
         ({"x": {**CAMERA, "roles": ["boss"]}}, "streams.x.roles.0.: found text 'boss'; allowed"),
         ({"x": {**CAMERA, "align": "mean"}}, "streams: x: found align 'mean'; allowed for its"),
-        ({"x": {**CAMERA, "stamp": "start"}}, "streams.x: stamp: 'start'; allowed: with a V4L2"),
-        ({"x": {**CAMERA, "exposure_ms": 500.0}}, "streams.x: exposure_ms: 500; allowed: up to"),
+        (
+            {"x": {**CAMERA, "stamp": "start"}},
+            "streams.x: unknown stamp with kind mjpeg; kind v4l2 has",
+        ),
+        (
+            {"x": {"kind": "v4l2", "exposure_ms": 500.0}},
+            "streams.x: exposure_ms: 500; allowed: up to",
+        ),
         ({"x": {"kind": "ur_pose", "host": "h", "rate_hz": 900.0}}, "rate_hz: 900.0; allowed"),
         (["x"], "streams: found the list .*; allowed: a mapping from names"),
     ],
@@ -124,7 +130,7 @@ def test_a_v4l2_camera_stores_its_exposure_and_the_moment_of_its_times(
     stated: str | None, stamp: str
 ) -> None:
     content = read_yaml(BENCHES / "gelsight.yaml", BENCHES)
-    camera = {"kind": "camera", "address": "/dev/video0", "rate_hz": 30, "exposure_ms": 8.0}
+    camera = {"kind": "v4l2", "address": "/dev/video0", "rate_hz": 30, "exposure_ms": 8.0}
     bench = bench_from({**content, "camera": {**camera, "stamp": stated}}, "bench.yaml")
     properties: dict[str, Any] = {"jpeg_bytes_kept": True, "height": 480, "width": 640}
     properties |= {"stamp": "start", "device_clock": "monotonic"}

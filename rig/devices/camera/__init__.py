@@ -1,1 +1,1 @@
-"""Tactile images: OpenCV camera driver and an emulated network camera."""
+"""Tactile images: drivers of cameras and an emulated network camera."""

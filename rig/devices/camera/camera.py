@@ -1,9 +1,9 @@
-"""Drivers of cameras: by V4L2 itself, and by OpenCV for MJPEG over HTTP.
+"""Drivers of cameras: on a V4L2 node, and of MJPEG over HTTP.
 
 JPEG bytes sent by the camera are passed on unchanged, without decoding; frames that are torn,
-resized or repeated are left out. V4L2 gives numbers and times of the frames, OpenCV neither, so
-that of a network camera a frame that never arrives cannot be seen. A camera queues seconds of
-frames for a late reader; the reader thread takes each on arrival.
+resized or repeated are left out. V4L2 gives numbers and times of the frames, HTTP neither, so that
+of a network camera a frame that never arrives cannot be seen. A camera queues seconds of frames for
+a late reader; the reader thread takes each on arrival.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rig.core.clock import Clock
 from rig.core.driver import CORRUPT_IN_A_ROW, ReceivingDriver
 from rig.core.errors import ConfigError, DeviceLost
 from rig.devices.camera.jpeg import is_whole, jpeg_size, with_huffman_tables
-from rig.devices.camera.settings import CameraConfig
+from rig.devices.camera.settings import MjpegConfig, V4l2Config
 from rig.devices.camera.v4l2_wire import (
     EXPOSURE_ABSOLUTE,
     EXPOSURE_AUTO,
@@ -38,11 +38,6 @@ Image = npt.NDArray[np.uint8]
 _CAPACITY = 120
 
 
-def camera_driver(config: CameraConfig, clock: Clock) -> CameraDriver:
-    """Return the driver: by OpenCV for MJPEG over HTTP, else by V4L2 itself."""
-    return OpenCvDriver(config, clock) if config.is_network else V4l2Driver(config, clock)
-
-
 class CameraDriver(ReceivingDriver):
     """Stream of one camera.
 
@@ -51,7 +46,7 @@ class CameraDriver(ReceivingDriver):
     driver's number of the frame; only if it numbers them), t_ns.
     """
 
-    def __init__(self, config: CameraConfig, clock: Clock) -> None:
+    def __init__(self, config: MjpegConfig | V4l2Config, clock: Clock) -> None:
         super().__init__(config.address, clock, _CAPACITY, ("repeated", "corrupt"))
         self._config = config
         self._facts: dict[str, Any] | None = None
@@ -111,8 +106,9 @@ class V4l2Driver(CameraDriver):
     The driver numbers every frame, also those that it had no buffer for: a gap is a lost frame.
     """
 
-    def __init__(self, config: CameraConfig, clock: Clock) -> None:
+    def __init__(self, config: V4l2Config, clock: Clock) -> None:
         super().__init__(config, clock)
+        self._config: V4l2Config = config
         self._node: Node | None = None
         self._sequence: int | None = None
         self._stamps: dict[str, str] = {}
@@ -141,6 +137,7 @@ class V4l2Driver(CameraDriver):
             "height": self._config.height,
             "jpeg_bytes_kept": isinstance(frame, bytes),
             "numbering": "device",
+            "automatic": self._node.automatic(),
             **self._stamps,
         }
 
@@ -261,18 +258,18 @@ _OPTIONS = {
 }
 
 
-class OpenCvDriver(CameraDriver):
-    """Stream of a network camera; see `CameraDriver` for its columns."""
+class MjpegDriver(CameraDriver):
+    """Stream of MJPEG over HTTP, by OpenCV's FFmpeg; see `CameraDriver` for its columns."""
 
-    def __init__(self, config: CameraConfig, clock: Clock) -> None:
+    def __init__(self, config: MjpegConfig, clock: Clock) -> None:
         super().__init__(config, clock)
+        self._config: MjpegConfig = config
         self._capture: cv2.VideoCapture | None = None
         self._newest: bytes | None = None
 
     def _connect(self, timeout: float) -> None:
         """Open the stream and check the first frame."""
         self._newest = None
-        self._refuse_settings()
         self._probe(timeout)
         try:
             self._capture = self._captured(self._left())
@@ -299,19 +296,6 @@ class OpenCvDriver(CameraDriver):
         if self._capture is not None:
             self._capture.release()
             self._capture = None
-
-    def _refuse_settings(self) -> None:
-        if urlsplit(self._config.address).scheme != "http":
-            raise ConfigError(
-                f"address: {self._config.address!r}; allowed: /dev/videoN, N, http://..."
-            )
-        for name in ("exposure", "gain"):
-            value = getattr(self._config, name)
-            if value is not None:
-                raise ConfigError(
-                    f"{self._where}: {name}: asked {value}, got nothing; a network "
-                    "camera is set on its own server; allowed: null"
-                )
 
     def _probe(self, timeout: float) -> None:
         url = urlsplit(self._config.address)

@@ -53,7 +53,7 @@ from rig.devices.camera.jpeg import (
     stamped,
     torn,
 )
-from rig.devices.camera.settings import CameraConfig
+from rig.devices.camera.settings import MjpegConfig
 
 # Sources of the emulated camera's pictures: the World, a folder of images, a video.
 
@@ -207,7 +207,7 @@ _TORN = b"\xff\xd8"
 class MjpegEmulatorConfig(PlayableConfig):
     """Port, pictures and timing of the emulated camera."""
 
-    device: CameraConfig = field(default=CameraConfig(address="http://127.0.0.1:8090/"))
+    device: MjpegConfig = field(default=MjpegConfig(address="http://127.0.0.1:8090/"))
     view: Path | None = None
     """JSON file of the World, to show a view of it."""
     source: Path | None = None

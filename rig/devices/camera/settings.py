@@ -1,4 +1,4 @@
-"""Bench file settings of the camera. Imports no vendor library."""
+"""Bench file settings of the cameras. Imports no vendor library."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -28,21 +28,21 @@ class CameraSettings(StreamSettings):
 
 
 @dataclass(frozen=True, slots=True)
-class CameraConfig(CameraSettings):
-    """Settings of a V4L2 camera, or of one that sends MJPEG over HTTP."""
+class V4l2Config(CameraSettings):
+    """Settings of a camera on a V4L2 node: most USB cameras."""
 
-    KIND: ClassVar[str] = "camera"
+    KIND: ClassVar[str] = "v4l2"
 
     address: str = "/dev/video0"
-    """A V4L2 node, its number, or http://..."""
+    """The node, or its number."""
     rate_hz: float = 30.0
-    """Frame rate requested of a V4L2 camera; a network camera decides its own."""
+    """Frame rate requested of the camera."""
     width: int = 640
     """[px]"""
     height: int = 480
     """[px]"""
     fourcc: str = "MJPG"
-    """Pixel format requested of a V4L2 camera; with MJPG its JPEG bytes are kept."""
+    """Pixel format requested of the camera; with MJPG its JPEG bytes are kept."""
     exposure: float | None = field(
         default=None, metadata={"unit": "ms", "plausible": (0.005, 5000)}
     )
@@ -50,16 +50,13 @@ class CameraConfig(CameraSettings):
     gain: float | None = None
     """In the camera's own unit; None leaves it unchanged."""
     stamp: Literal["start", "middle", "end"] | None = None
-    """Moment of the exposure that a V4L2 camera's time stamps are of; None: as its driver says."""
-    repeats: bool = False
-    """True if equal consecutive frames of a network camera count separately, as in a replay of a
-    still scene; else they are one frame sent twice: no two pictures of a sensor are equal."""
+    """Moment of the exposure that the time stamps are of; None: as its driver says."""
 
     def __post_init__(self) -> None:
-        if self.stamp is not None and self.is_network:
+        if "://" in self.address:
             raise ValueError(
-                f"stamp: {self.stamp!r}; allowed: with a V4L2 camera, since MJPEG over HTTP has no "
-                "time stamps"
+                f"address: {self.address!r}; allowed with kind v4l2: /dev/videoN, N; MJPEG over "
+                "HTTP has kind mjpeg"
             )
         if (self.exposure or 0.0) > 1 / self.rate_hz:
             raise ValueError(
@@ -67,14 +64,37 @@ class CameraConfig(CameraSettings):
                 f"{1e3 / self.rate_hz:.4g} at rate_hz {self.rate_hz:g}"
             )
 
+    def check_mock(self) -> None:
+        """Reject this kind on a mock bench, which has no video device."""
+        raise ValueError("kind: v4l2; allowed on a mock bench: mjpeg")
+
     def attrs(self, description: Mapping[str, Any]) -> dict[str, Any]:
-        """Return exposure and stamp of a V4L2 camera."""
-        if self.is_network:
-            return {}
+        """Return exposure and stamp."""
         exposure = {} if self.exposure is None else {"exposure": self.exposure}
         return {**exposure, "stamp": self.stamp or description.get("stamp", "end")}
 
-    @property
-    def is_network(self) -> bool:
-        """True if the camera is read over HTTP; else it is a V4L2 node."""
-        return "://" in self.address
+
+@dataclass(frozen=True, slots=True)
+class MjpegConfig(CameraSettings):
+    """Settings of a camera that sends MJPEG over HTTP, without time stamps."""
+
+    KIND: ClassVar[str] = "mjpeg"
+
+    address: str
+    """http://..."""
+    rate_hz: float = 30.0
+    """Frame rate that the camera sends; it is set on the camera's own server, as its exposure."""
+    width: int = 640
+    """[px]"""
+    height: int = 480
+    """[px]"""
+    repeats: bool = False
+    """True if equal consecutive frames count separately, as in a replay of a still scene; else they
+    are one frame sent twice: no two pictures of a sensor are equal."""
+
+    def __post_init__(self) -> None:
+        if not self.address.startswith("http://"):
+            raise ValueError(
+                f"address: {self.address!r}; allowed with kind mjpeg: http://...; a camera on "
+                "/dev/videoN has kind v4l2"
+            )

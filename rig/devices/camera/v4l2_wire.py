@@ -21,6 +21,8 @@ GAIN, EXPOSURE_AUTO, EXPOSURE_ABSOLUTE = 0x00980913, 0x009A0901, 0x009A0902
 EXPOSURE_UNIT = 1e-4
 # V4L2_EXPOSURE_MANUAL.
 MANUAL = 1
+# V4L2_CID_AUTO_WHITE_BALANCE and V4L2_CID_FOCUS_AUTO.
+WHITE_BALANCE_AUTO, FOCUS_AUTO = 0x0098090C, 0x009A090C
 
 # Flags of a buffer: error, clock of its time, and the moment that the time is of.
 _ERROR, _CLOCK, _MONOTONIC, _STAMPED, _START = 0x40, 0xE000, 0x2000, 0x70000, 0x10000
@@ -93,6 +95,17 @@ class Node:
         """Set a control; return the value that the camera took."""
         self._ioctl(_S_CTRL, _CONTROL, number, value)
         return self._ioctl(_G_CTRL, _CONTROL, number, value)[1]
+
+    def automatic(self) -> list[str]:
+        """Return which of exposure, white balance and focus the camera sets by itself."""
+        manual = {"exposure": (EXPOSURE_AUTO, MANUAL), "white balance": (WHITE_BALANCE_AUTO, 0)}
+        manual["focus"] = (FOCUS_AUTO, 0)
+        on = []
+        for name, (number, off) in manual.items():
+            with contextlib.suppress(OSError):  # the camera has no such control
+                if self._ioctl(_G_CTRL, _CONTROL, number, 0)[1] != off:
+                    on.append(name)
+        return on
 
     def start(self) -> None:
         """Map the buffers and start the stream."""

@@ -17,7 +17,7 @@ from support.jpegs import stripped, without_stamp
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.samples import WORLD_STATE
-from rig.devices.camera.camera import OpenCvDriver, V4l2Driver
+from rig.devices.camera.camera import MjpegDriver, V4l2Driver
 from rig.devices.camera.jpeg import frame_stamp, jpeg_size
 from rig.devices.camera.mjpeg_emulator import (
     FrameSource,
@@ -26,7 +26,7 @@ from rig.devices.camera.mjpeg_emulator import (
     looped,
     rendered,
 )
-from rig.devices.camera.settings import CameraConfig
+from rig.devices.camera.settings import MjpegConfig, V4l2Config
 
 CLOCK = SystemClock()
 RNG = np.random.default_rng(0)
@@ -55,13 +55,13 @@ class CountingWorld:
 def emulated(
     host: str, source: FrameSource, world: Any = None
 ) -> AbstractContextManager[MjpegEmulator]:
-    device = CameraConfig("http://loopback:8090/", rate_hz=100.0)
+    device = MjpegConfig("http://loopback:8090/", rate_hz=100.0)
     return running(MjpegEmulator(MjpegEmulatorConfig(device, host=host), source, world, CLOCK))
 
 
-def opened(host: str, **options: Any) -> AbstractContextManager[OpenCvDriver]:
-    config = CameraConfig(f"http://{host}:8090/", **({"silence": 20.0} | options))
-    return opening(OpenCvDriver(config, CLOCK))
+def opened(host: str, **options: Any) -> AbstractContextManager[MjpegDriver]:
+    config = MjpegConfig(f"http://{host}:8090/", **({"silence": 20.0} | options))
+    return opening(MjpegDriver(config, CLOCK))
 
 
 def test_the_cameras_own_bytes_arrive_unchanged(host: str) -> None:
@@ -124,25 +124,19 @@ def test_another_size_than_the_bench_says_is_a_config_error(host: str) -> None:
         pass
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"exposure": 0.01}, "exposure"),
-        ({"gain": 12}, "gain"),
-        ({"address": "ftp://h/"}, "allowed"),
-    ],
-)
-def test_a_network_camera_refuses_settings_and_other_addresses(
-    host: str, options: dict[str, Any], words: str
-) -> None:
-    config = CameraConfig(**({"address": f"http://{host}:8090/"} | options))
-    with pytest.raises(ConfigError, match=words):
-        OpenCvDriver(config, CLOCK).open(0.5)
+def test_each_kind_of_camera_refuses_the_addresses_of_the_other() -> None:
+    for address in ("/dev/video0", "ftp://h/"):
+        with pytest.raises(ValueError, match="kind v4l2"):
+            MjpegConfig(address)
+    with pytest.raises(ValueError, match="kind mjpeg"):
+        V4l2Config("http://h/")
+    with pytest.raises(ValueError, match="allowed on a mock bench: mjpeg"):
+        V4l2Config().check_mock()
 
 
 def test_a_missing_v4l2_node_is_device_lost() -> None:
     with pytest.raises(DeviceLost, match="/dev/video99"):
-        V4l2Driver(CameraConfig("/dev/video99"), CLOCK).open(0.5)
+        V4l2Driver(V4l2Config("/dev/video99"), CLOCK).open(0.5)
 
 
 def test_the_environment_is_as_it_was_after_opening(host: str) -> None:
