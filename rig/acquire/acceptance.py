@@ -32,6 +32,8 @@ class SetupRecord:
         stored = read_setup(folder, bench)
         self.steps: dict[str, dict[str, Any]] = stored.get("steps", {})
         """Answers and findings of each step, by its name."""
+        self.answers: dict[str, float] = stored.get("answers", {})
+        """Latest answer to each question."""
         self.accepted: dict[str, Any] | None = stored.get("acceptance")
         """Summary of the report; None before the end."""
         self._running: dict[str, Any] | None = None
@@ -50,6 +52,11 @@ class SetupRecord:
         """Store the step that is under way, with its findings before a person decides on them."""
         step = {"step": name, "number": number, "count": count, "pid": os.getpid()}
         self._running = {**step, "findings": [asdict(each) for each in findings]}
+        self._write()
+
+    def answer(self, name: str, value: float) -> None:
+        """Keep the answer to a question, whatever becomes of its step."""
+        self.answers[name] = value
         self._write()
 
     def add(
@@ -112,6 +119,7 @@ class SetupRecord:
             "sensor": self._bench.sensor,
             "mock": self._bench.mock,
             "steps": self.steps,
+            "answers": self.answers,
             "acceptance": self.accepted,
             **({"running": self._running} if self._running else {}),
         }

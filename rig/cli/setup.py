@@ -7,6 +7,8 @@ import contextlib
 import dataclasses
 import functools
 import math
+import os
+import re
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -15,13 +17,19 @@ from typing import Any
 
 import numpy as np
 
-from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_SAFETY_STOP
+from recorder.command_line.errors import (
+    EXIT_DEVICE_LOST,
+    EXIT_DONE,
+    EXIT_INTERRUPTED,
+    EXIT_SAFETY_STOP,
+)
 from rig.acquire import setup_checks as checks
 from rig.acquire.acceptance import SetupRecord
 from rig.acquire.calibration import store
 from rig.acquire.control import apart
 from rig.acquire.doctor import Finding, examine
 from rig.bench.bench import Bench, BenchStream
+from rig.bench.guards import force_limit
 from rig.cli import doctor, force_depth
 from rig.cli.calibrate_latency import calibrate
 from rig.cli.home import find_by_force, find_by_signal
@@ -61,10 +69,10 @@ _DEVICES = ("arm", "force", "camera", "taxels", "streams")
 class AtBench:
     """The bench during its set-up, the person at it, and the emulators of a mock bench.
 
-    `given` are the answers of `--answer`.
+    `given` are answers as text, of `--answer` or a correction; each is used once.
     """
 
-    def __init__(self, options: argparse.Namespace, given: Answers) -> None:
+    def __init__(self, options: argparse.Namespace, given: dict[str, str]) -> None:
         self.options = options
         self.given = given
         file = chosen_bench(options)
@@ -97,16 +105,28 @@ class AtBench:
         self._tip = (0.0, 0.0, _CLEAR)
         self._stack.close()
 
-    def ask(self, name: str, text: str, default: float) -> float:
-        """Return an answer: of `--answer`, of the person, or with `--yes` the default."""
-        if name in self.given:
-            return self.given[name]
-        while not self.options.yes:
+    def ask(self, question: Question) -> float:
+        """Return an answer: one that is given, the person's, or with `--yes` the usual one.
+
+        A person's answers are kept, and offered when they are asked for again.
+        """
+        name, usual = question.name, question.usual(self.bench)
+        if (given := self.given.pop(name, None)) is not None:
+            value = question.read(given, self.bench)
+        elif self.options.yes:
+            return usual
+        else:
+            offered = self.record.answers.get(name, usual)
+            value = self._asked(question, f"  {question.text} [{offered:g}]: ", str(offered))
+        self.record.answer(name, value)
+        return value
+
+    def _asked(self, question: Question, prompt: str, offered: str) -> float:
+        while True:
             try:
-                return _number(_read(f"  {text} [{default:g}]: ") or str(default), name)
+                return question.read(_read(prompt) or offered, self.bench)
             except ConfigError as error:
                 print(f"  {error}")
-        return default
 
     def do(self, text: str, *places: Point, force: Point = (0.0, 0.0, 0.0)) -> None:
         """Have the person do something at the bench; on a mock bench, its emulators do it.
@@ -114,7 +134,13 @@ class AtBench:
         They lead the tip to `places` in the contact frame [m], and lay `force` on the sensor [N].
         """
         if not self.bench.mock:
-            _read(f"  {text}; then Enter: ")
+            while typed := _read(f"  {text}; then Enter: "):
+                if typed == "stop":
+                    raise EOFError
+                print(
+                    f"  found {typed!r}; allowed: Enter alone once it is done, or stop; poses and "
+                    "forces are read from the devices, not typed"
+                )
             return
         print(f"  {text} (done by the mock bench)", flush=True)
         bench, ports = self.ready, PORTS
@@ -313,6 +339,8 @@ def press(at: AtBench, _: Answers) -> Iterator[Finding]:
 def _outcome(part: str, code: int, text: str, *cures: str) -> Finding:
     if code == EXIT_DONE:
         return Finding(part, "well", text)
+    if code == EXIT_INTERRUPTED:
+        return Finding(part, "FAULT", "stopped by the operator", ("measure again, or skip",))
     if code == EXIT_DEVICE_LOST:
         cures = ("the command's last lines name the device: power, cable, a busy computer",)
     return Finding(part, "FAULT", f"stopped with exit code {code}", cures)
@@ -320,12 +348,40 @@ def _outcome(part: str, code: int, text: str, *cures: str) -> Finding:
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """A question of a step."""
+    """A question of a step, whose answer is a number."""
 
     name: str
-    """Key of the answer."""
+    """Key of the answer; it ends with the unit."""
     text: str
-    default: Callable[[Bench], float]
+    usual: Callable[[Bench], float]
+    span: Callable[[Bench], tuple[float, float]]
+    """Least and largest number that can be true."""
+    source: str
+    """Origin of these limits."""
+    mistaken: dict[str, float]
+    """Size of other units that a person may have meant."""
+
+    def read(self, text: str, bench: Bench) -> float:
+        """Return the number in an answer.
+
+        Raises:
+            ConfigError: It is no number, or one that cannot be true; with the likely one.
+        """
+        low, high = self.span(bench)
+        wrong = f"{self.name}: found {text!r}; allowed: {low:g} to {high:g} by {self.source}"
+        try:
+            number = float(text)
+        except ValueError:
+            one = re.fullmatch(r"[^\d]*?([-+]?\d+(?:[.,]\d+)?)[^\d]*", text)
+            write = f"; write {one[1].replace(',', '.')}" if one else ""
+            raise ConfigError(f"{wrong}, a number with a decimal point{write}") from None
+        if low <= number <= high:
+            return number
+        meant = [(number * size, unit) for unit, size in self.mistaken.items()]
+        if fits := [each for each in meant if low <= each[0] <= high]:
+            likely, unit = min(fits, key=lambda each: abs(math.log(each[0] / self.usual(bench))))
+            wrong += f"; is it in {unit}? then write {likely:.6g}"
+        raise ConfigError(wrong)
 
 
 @dataclass(frozen=True, slots=True)
@@ -356,7 +412,10 @@ STEPS = (
             Question(
                 "length_mm",
                 "distance from flange to tip, by a caliper [mm]",
-                lambda bench: float(from_si(bench.arm.tcp[2], "mm")),
+                lambda bench: max(1.0, float(from_si(bench.arm.tcp[2], "mm"))),
+                lambda bench: (max(1.0, 333 * bench.arm.tcp[2]), 1000.0),
+                "arm.tcp in the bench file",
+                {"cm": 10.0, "m": 1000.0, "inch": 25.4},
             ),
         ),
     ),
@@ -364,7 +423,16 @@ STEPS = (
     Step(
         gauge,
         ("force", "streams"),
-        (Question("weight_g", "mass of the known weight [g]", lambda bench: 100.0),),
+        (
+            Question(
+                "weight_g",
+                "mass of the known weight [g]",
+                lambda bench: 100.0,
+                lambda bench: (1.0, 1e3 * force_limit(bench) // checks.GRAVITY),
+                "the guard's limit of force",
+                {"kg": 1000.0, "N": 1000.0 / checks.GRAVITY},
+            ),
+        ),
         lambda bench: bool(bench.gauges),
     ),
     Step(touch, ("camera", "taxels", "stand_ins"), needed=lambda bench: bench.no_gauge),
@@ -392,8 +460,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Sets a bench up: one step after the other asks, measures, and names what is wrong with "
         "its cure. Finished steps are stored and skipped, until the part of the bench file that "
         "they checked changes. Ends in an acceptance report, which every session of the bench "
-        "then carries. On a mock bench the emulators do what a person would. Exit code 0 at the "
-        "end, 2 wrong input, 3 a fault."
+        "then carries. Answers are kept, and offered when they are asked for again. On a mock "
+        "bench the emulators do what a person would. Exit code 0 at the end, 2 wrong input, 3 a "
+        "fault or a skipped step, 130 stopped by Ctrl-C, Ctrl-D or the word stop."
     )
     parser.epilog = "Steps: " + ", ".join(step.name for step in STEPS) + "."
     parser.add_argument("--indenter", help="name of the indenter on the arm")
@@ -423,32 +492,64 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Go through the steps; return the exit code."""
-    answers: Answers = {}
+    given: dict[str, str] = {}
+    names = [ask.name for step in STEPS for ask in step.asks]
     for stated in options.answer:
-        name, equals, value = stated.partition("=")
-        names = [ask.name for step in STEPS for ask in step.asks]
+        name, equals, given[name] = stated.partition("=")
         if not equals or name not in names:
             raise ConfigError(f"--answer: found {stated!r}; allowed: {'=, '.join(names)}=")
-        answers[name] = _number(value, f"--answer {name}")
-    repeated = set(options.again or ())
+    for name in ("out", "calibrations"):
+        setattr(options, name, _writable(f"--{name}", getattr(options, name)))
+    at = AtBench(options, given)
+    for ask in (each for step in STEPS for each in step.asks if each.name in given):
+        ask.read(given[ask.name], at.bench)
+    if at.bench.mock:
+        print(banner(at.file), flush=True)
+    elif options.yes:
+        raise ConfigError("--yes: found with a lab bench; allowed on a mock bench")
+    else:
+        require_terminal()
+    repeated, skipped = set(options.again or ()), set[str]()
+    try:
+        while True:
+            with contextlib.closing(at):
+                code = _steps(at, repeated, skipped)
+            if code is not None:
+                return code
+            at = _read_again(at)
+    except (KeyboardInterrupt, EOFError):
+        print(f"\nsetup: stopped; {_GOES_ON}")
+        return EXIT_INTERRUPTED
+
+
+_GOES_ON = "the same command goes on from there, and offers the answers given so far"
+
+
+def _writable(option: str, folder: Path) -> Path:
+    """Return a folder, made if it is not there; `~` is the user's own."""
+    folder = Path(os.path.expanduser(folder))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except OSError as error:
+        raise ConfigError(
+            f"{option}: {folder}: {error.strerror}; allowed: a folder that this user can write"
+        ) from None
+
+
+def _read_again(at: AtBench) -> AtBench:
+    """Return the bench of the file as it is now; the person corrects one that is wrong."""
     while True:
-        at = AtBench(options, answers)
-        if at.bench.mock:
-            print(banner(at.file), flush=True)
-        elif options.yes:
-            raise ConfigError("--yes: found with a lab bench; allowed on a mock bench")
-        if not at.bench.mock:
-            require_terminal()
         try:
-            code = _steps(at, repeated)
-        finally:
-            at.close()
-        if code is not None:
-            return code
-        # The bench file may have been corrected meanwhile.
+            return AtBench(at.options, at.given)
+        except ConfigError as error:
+            print(f"  {error}")
+            if _read("  correct the bench file, then Enter; stop: stop: ") == "stop":
+                raise EOFError from None
 
 
-def _steps(at: AtBench, repeated: set[str]) -> int | None:
+def _steps(at: AtBench, repeated: set[str], skipped: set[str]) -> int | None:
     """Go through the steps that are not done; return the exit code, None to begin again."""
     needed = [step for step in STEPS if step.needed(at.bench)]
     for number, step in enumerate(needed, 1):
@@ -457,27 +558,29 @@ def _steps(at: AtBench, repeated: set[str]) -> int | None:
             stored = at.record.steps[step.name]
             print(f"{heading}: done {stored['date_utc']}, {stored['state']}", flush=True)
             continue
+        if step.name in skipped:
+            print(f"{heading}: skipped", flush=True)
+            continue
         print(f"{heading}: {(step.check.__doc__ or '').strip()}", flush=True)
         at.record.show(step.name, number, len(needed))
-        answers = {ask.name: at.ask(ask.name, ask.text, ask.default(at.bench)) for ask in step.asks}
+        answers = {question.name: at.ask(question) for question in step.asks}
         findings = _checked(at, step, answers)
         at.record.show(step.name, number, len(needed), findings)
-        if any(each.state == "FAULT" for each in findings):
-            order = (
-                ""
-                if at.options.yes
-                else _read(
-                    "  Enter: measure again (the bench file is read again), accept: accept the "
-                    "fault, anything else: stop: "
-                )
-            )
-            if order == "" and not at.options.yes:
-                return None
-            if order != "accept":
-                print(f"setup: stopped at {step.name}; the same command goes on from there")
-                return EXIT_DEVICE_LOST
+        faulty = any(each.state == "FAULT" for each in findings)
+        decision = _decision(at, step) if faulty else "accept"
+        if decision == "again":
+            return None
+        if decision == "stop":
+            print(f"setup: stopped at {step.name}; {_GOES_ON}")
+            return EXIT_DEVICE_LOST
+        if decision == "skip":
+            skipped.add(step.name)
+            continue
         at.record.add(step.name, step.keys, answers, findings)
         repeated.discard(step.name)
+    if skipped:
+        print(f"setup: no report yet, skipped: {', '.join(sorted(skipped))}; {_GOES_ON}")
+        return EXIT_DEVICE_LOST
     if at.record.accepted is None:
         operator = operator_name(at.options.operator)
         at.record.accept([step.name for step in needed], operator)
@@ -487,31 +590,43 @@ def _steps(at: AtBench, repeated: set[str]) -> int | None:
     return EXIT_DONE
 
 
+def _decision(at: AtBench, step: Step) -> str:
+    """Return `again`, `accept`, `skip` or `stop`, as the person decides on a fault."""
+    if at.options.yes:
+        return "stop"
+    allowed = "Enter: measure again (the bench file is read again), accept: accept the fault, "
+    allowed += "skip: leave the step for later, stop: stop"
+    allowed += "".join(f", or another {question.name}" for question in step.asks)
+    while typed := _read(f"  {allowed}: "):
+        if typed in ("accept", "skip", "stop"):
+            return typed
+        try:
+            for question in step.asks if any(map(str.isdigit, typed)) else ():
+                question.read(typed, at.bench)
+                at.given[question.name] = typed
+                return "again"
+            print(f"  found {typed!r}; allowed: {allowed}")
+        except ConfigError as error:
+            print(f"  {error}")
+    return "again"
+
+
 def _checked(at: AtBench, step: Step, answers: Answers) -> list[Finding]:
     findings: list[Finding] = []
     try:
         for each in step.check(at, answers):
             findings.append(each)
             doctor.show(each)
-    except (DeviceLost, OSError) as error:
+    except (ConfigError, DeviceLost, OSError) as error:
         cure = "tactile doctor tests every device, and names the cure"
         findings.append(Finding(step.name, "FAULT", str(error), (cure,)))
         doctor.show(findings[-1])
     return findings
 
 
-def _number(text: str, where: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise ConfigError(f"{where}: found {text!r}; allowed: a number")
-    return number
-
-
 def _read(prompt: str) -> str:
+    """Return what is typed; raise EOFError at the end of input, which Ctrl-D is."""
     line = answer(prompt)
     if line is None:
-        raise ConfigError("setup: no terminal to ask on; allowed: --yes on a mock bench")
+        raise EOFError
     return line.strip()

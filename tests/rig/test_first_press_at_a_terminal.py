@@ -41,14 +41,18 @@ for press in range(int(sys.argv[1])):
 """
 
 
-def at_a_terminal(presses: list[list[str]]) -> list[str]:
-    """Answer the questions of first presses in turn; return what the terminal showed of each."""
+def at_a_terminal(presses: list[list[str]], ahead: str = "") -> list[str]:
+    """Answer the questions of first presses in turn; return what the terminal showed of each.
+
+    `ahead` is typed before the program has started.
+    """
     answers = [answer for press in presses for answer in press]
     process, terminal = pty.fork()
     if process == 0:
         os.chdir(ROOT)
         os.environ["PYTHONPATH"] = str(ROOT)
         os.execv(sys.executable, [sys.executable, "-c", STEPS, str(len(presses))])
+    os.write(terminal, ahead.encode())
     shown, left, end = "", list(answers), time.monotonic() + 120
     while time.monotonic() < end:
         if not select.select([terminal], [], [], 1.0)[0]:
@@ -78,3 +82,9 @@ def test_only_the_word_leads_to_the_next_step() -> None:
         assert 'stopped: the answer was not "move"' in shown, other
     assert "all pressed" in whole
     assert whole.count("next: ") == whole.count("pressed ") - 1
+
+
+def test_words_typed_ahead_answer_no_question() -> None:
+    (shown,) = at_a_terminal([["\n"]], ahead="move\nmove\n" * 3)
+    assert 'stopped: the answer was not "move"' in shown
+    assert "pressed 2" not in shown

@@ -1,6 +1,7 @@
 """The set-up goes on where it stopped, and its acceptance goes with every session."""
 
 import argparse
+import dataclasses
 import json
 import subprocess
 import sys
@@ -32,6 +33,13 @@ def parsed(folder: Path, *more: str, bench: str = f"--bench={BENCH}") -> argpars
     return options
 
 
+LAB = "mock: false\nworld: null\nsimulated: null\n"
+WEIGHT, LENGTH = (
+    next(ask for step in setup.STEPS for ask in step.asks if ask.name == name)
+    for name in ("weight_g", "length_mm")
+)
+
+
 class Steps:
     """Two steps, whose findings a test sets."""
 
@@ -43,31 +51,35 @@ class Steps:
 
         def first(at: setup.AtBench, answers: setup.Answers) -> Iterator[Finding]:
             """Is the first part well?"""
-            self.run.append(("first", answers["weight_g"]))
+            self.run.append(("first", *answers.values()))
             yield Finding("part", "well", "<b>well</b>")
 
         def second(at: setup.AtBench, answers: setup.Answers) -> Iterator[Finding]:
             """Is the second part well?"""
             self.run.append("second")
+            if not at.bench.mock:
+                at.do("lead the tip to the surface")
             at.record.keep_picture("camera.jpeg", b"a picture")
             if self.lost:
                 raise DeviceLost("the gauge is gone")
             yield Finding("part", self.state, "found", ("a cure",))  # type: ignore[arg-type]
 
-        weight = setup.Question("weight_g", "mass [g]", lambda bench: 100.0)
-        steps = (setup.Step(first, ("force",), (weight,)), setup.Step(second, ("camera",)))
+        steps = (setup.Step(first, ("force",), (WEIGHT, LENGTH)), setup.Step(second, ("camera",)))
         monkeypatch.setattr(setup, "STEPS", steps)
 
-    def answers(self, *typed: str) -> list[str]:
-        """Find a fault in the second step, and type these answers; return what is asked."""
-        self.state = "FAULT"
+    def answers(self, *typed: Any) -> list[str]:
+        """Type these answers, None for Ctrl-D; return the questions as they are asked."""
         left, asked = list(typed), list[str]()
 
-        def answer(prompt: str) -> str:
+        def answer(prompt: str) -> str | None:
             asked.append(prompt.strip())
-            return left.pop(0)
+            if left and left[0] is KeyboardInterrupt:
+                raise left.pop(0)
+            typed: str | None = left.pop(0)
+            return typed
 
         self.monkeypatch.setattr(setup, "answer", answer)
+        self.monkeypatch.setattr(setup, "require_terminal", lambda: None)
         return asked
 
 
@@ -113,7 +125,7 @@ def test_a_stopped_set_up_goes_on_and_ends_in_a_report_that_sessions_carry(
 
     steps.run = []
     assert setup.run(parsed(tmp_path, "--yes", "--again", "first")) == 0
-    assert steps.run == [("first", 100.0)]
+    assert steps.run == [("first", 100.0, 100.0)]
 
 
 def test_a_step_is_repeated_once_its_part_of_the_bench_file_changes(
@@ -127,40 +139,94 @@ def test_a_step_is_repeated_once_its_part_of_the_bench_file_changes(
         assert len(steps.run) == run
 
 
-def test_the_person_may_measure_again_or_accept_a_fault(steps: Steps, tmp_path: Path) -> None:
-    asked = steps.answers("heavy", "50", "", "accept")
+# Answers in turn: mass, length, and Enter once the tip is led to the surface; then a decision on a
+# fault. With words that are printed, the exit code, and the answers that the first step had.
+STOPPED = "setup: stopped; the same command goes on from there, and offers the answers given so far"
+TYPED: dict[str, tuple[list[Any], str, int, tuple[float, ...]]] = {
+    "a mass of -100": (["-100", "50", "", ""], "weight_g: found '-100'; allowed: 1 to 1472", 0, ()),
+    "a mass of 0": (
+        ["0", "50", "", ""],
+        "found '0'; allowed: 1 to 1472 by the guard's limit",
+        0,
+        (),
+    ),
+    "a mass of abc": (["abc", "50", "", ""], "found 'abc'; allowed: 1 to 1472 by the", 0, ()),
+    "a comma": (["50,5", "50", "", ""], "a number with a decimal point; write 50.5", 0, ()),
+    "its unit": (["50 g", "50", "", ""], "a number with a decimal point; write 50", 0, ()),
+    "kg": (["0.05", "50", "", ""], "is it in kg? then write 50", 0, ()),
+    "a folder for a number": (["~", "50", "", ""], "weight_g: found '~'; allowed: 1 to", 0, ()),
+    "10 for cm": (["50", "10", "", ""], "length_mm: found '10'; allowed: 33.3 to 1000", 0, ()),
+    "cm are named": (["50", "10", "", ""], "is it in cm? then write 100", 0, ()),
+    "0.1 for m": (["50", "0.1", "", ""], "is it in m? then write 100", 0, ()),
+    "an empty line": (["", "", ""], "setup: accepted; report", 0, (100.0, 100.0)),
+    "a pose of 3": (["50", "", "1 2 3", ""], "found '1 2 3'; allowed: Enter alone", 0, ()),
+    "a pose of 7": (["50", "", "1 2 3 4 5 6 7", ""], "poses and forces are read from", 0, ()),
+    "stop instead of Enter": (["50", "", "stop"], STOPPED, 130, ()),
+    "Ctrl-C": (["50", KeyboardInterrupt], STOPPED, 130, ()),
+    "Ctrl-D": (["50", None], STOPPED, 130, ()),
+    "a choice that is none": (["50", "", "", "a", "stop"], "found 'a'; allowed: Enter: mea", 3, ()),
+    "two lines": (["50", "", "", "accept\naccept", "stop"], "found 'accept\\naccept'", 3, ()),
+    "stop": (["50", "", "", "stop"], "setup: stopped at second; the same command goes", 3, ()),
+    "accept": (["50", "", "", " accept "], "setup: accepted with faults: second", 0, ()),
+    "skip": (["50", "", "", "skip"], "no report yet, skipped: second; the same", 3, ()),
+    "measure again": (["50", "", "", "", "", "skip"], "no report yet, skipped: second", 3, ()),
+}
+
+
+@pytest.mark.parametrize("name", TYPED)
+def test_an_answer_is_taken_or_named_and_none_before_it_is_lost(
+    steps: Steps, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lab = tmp_path / "lab.yaml"
+    lab.write_text(f"extends: {BENCH}\n{LAB}")
+    typed, words, code, answers = TYPED[name]
+    steps.state = "FAULT" if code == 3 or name == "accept" else "well"
+    asked = steps.answers(*typed)
+    assert setup.run(parsed(tmp_path, bench=f"--bench={lab}")) == code
+    assert words in capsys.readouterr().out
+    assert len(asked) == len(typed)
+    if code:
+        steps.answers("", "", "", "")
+        steps.state = "well"
+        assert setup.run(parsed(tmp_path, bench=f"--bench={lab}")) == 0
+    firsts = [ran for ran in steps.run if ran != "second"]
+    assert firsts == [("first", *(answers or (50.0, 100.0)))]
+
+
+def test_another_number_corrects_an_answer_after_a_fault(
+    steps: Steps, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    only = dataclasses.replace(setup.STEPS[1], asks=(WEIGHT,))
+    steps.monkeypatch.setattr(setup, "STEPS", (only,))
+    steps.state = "FAULT"
+    asked = steps.answers("50", "-60", "60", "banana", "", "", "accept")
     assert setup.run(parsed(tmp_path)) == 0
-    assert steps.run == [("first", 50.0), "second", "second"]
-    assert asked[:2] == ["mass [g] [100]:"] * 2
-    accepted = store.acceptance_of(tmp_path, BenchFile.read(BENCH).bench)
-    assert accepted is not None
-    assert accepted["result"] == "accepted with faults: second"
-
-
-@pytest.mark.parametrize("typed", ["a", " accept it", "accept\naccept"])
-def test_only_the_word_accepts_a_fault(steps: Steps, tmp_path: Path, typed: str) -> None:
-    steps.answers("50", typed)
-    assert setup.run(parsed(tmp_path)) == 3
-    assert store.acceptance_of(tmp_path, BenchFile.read(BENCH).bench) is None
+    text = capsys.readouterr().out
+    assert "weight_g: found '-60'; allowed: 1 to" in text
+    assert "found 'banana'; allowed: Enter: measure again" in text
+    assert asked[5] == "mass of the known weight [g] [60]:"
+    assert steps.run == ["second"] * 3
 
 
 def test_a_lost_device_and_wrong_input_are_named(
     steps: Steps, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lab = tmp_path / "lab.yaml"
-    lab.write_text(f"extends: {BENCH}\nmock: false\nworld: null\nsimulated: null\n")
+    lab.write_text(f"extends: {BENCH}\n{LAB}")
     steps.lost = True
     assert setup.run(parsed(tmp_path, "--yes", "--answer", "weight_g=20")) == 3
     assert "FAULT  second     the gauge is gone" in capsys.readouterr().out
-    assert steps.run[0] == ("first", 20.0)
+    assert steps.run[0] == ("first", 20.0, 100.0)
     for words, more in (
         ("--answer: found 'weight=3'; allowed: weight_g=", ["--yes", "--answer", "weight=3"]),
         (
-            "weight_g: found 'x'; allowed: a number",
+            "weight_g: found 'x'; allowed: 1 to 1472",
             ["--yes", "--again=first", "--answer=weight_g=x"],
         ),
         ("--yes: found with a lab bench", ["--yes"]),
         ("no terminal to ask on", []),
+        ("--calibrations: /proc/x: No such file or dir", ["--calibrations", "/proc/x"]),
+        (f"--calibrations: {lab}: File exists; allowed: a folder", ["--calibrations", str(lab)]),
     ):
         bench = f"--bench={BENCH}" if "weight" in words else f"--bench={lab}"
         with pytest.raises(ConfigError, match=words):

@@ -313,6 +313,8 @@ def read_setup(folder: Path, bench: Bench) -> dict[str, Any]:
     path = setup_path(folder, bench.sensor)
     try:
         setup: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
+        if not isinstance(setup, dict):
+            raise ValueError("found no mapping")
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: {error}; remove the file, and set up again") from None
     return setup if setup.get("mock") == bench.mock else {}
