@@ -60,6 +60,7 @@ VENDORS = {
 # Imports that a module may make only inside its functions.
 LAZY = {
     "rig/bench/expected.py": {"sim"},
+    "rig/bench/indenter.py": {"sim"},
     "rig/mock/world/simulated.py": {"sim"},
     "rig/monitor/predictor.py": {"learning"},
 }

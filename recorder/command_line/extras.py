@@ -10,6 +10,7 @@ LIBRARIES = {
     "grpc": ("nidaq",),
     "h5py": ("export",),
     "hidraw": ("rig",),
+    "manifold3d": ("rig", "sim"),
     "matplotlib": ("sim", "learning"),
     "mcap": ("export",),
     "mcap_protobuf": ("export",),

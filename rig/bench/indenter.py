@@ -1,8 +1,8 @@
 """Indenters by name: the 18 of the paper, and those of a lab's own folder.
 
-A lab's own indenter is `indenters/NAME.yaml`, with the keys of `IndenterFile`, or
-`indenters/NAME.stl`, in the folder where the commands run. Any other name is refused: it would be
-recorded as if it existed.
+A lab's own indenter is `indenters/NAME.yaml`, with the keys of `IndenterFile` or with `parts`
+(`sim.indenters.parts`), or `indenters/NAME.stl`, in the folder where the commands run. Any other
+name is refused: it would be recorded as if it existed.
 """
 
 import hashlib
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.core.config import build, from_si, read_yaml, to_si
+from rig.core.config import build, from_si, read_yaml
 from rig.core.errors import ConfigError
 from rig.core.names import unknown_name
 
@@ -49,7 +49,7 @@ class Indenter:
     size: tuple[float, float]
     """Width along x and y of the part that presses [m]."""
     stl: Path | None = None
-    """STL file, with the tip towards -z."""
+    """STL file, with the tip towards -z; or YAML file with parts."""
     drawing: Path | None = None
     """Drawing."""
     source: Path | None = None
@@ -96,51 +96,50 @@ def find_indenter(name: str, where: str = "--indenter", folder: Path = OWN) -> I
 
     Errors name the option or key `where` the name was given.
     """
-    described, solid = folder / f"{name}.yaml", folder / f"{name}.stl"
-    if described.is_file():
-        file = build(IndenterFile, read_yaml(described), str(described))
-        beside: dict[str, Path | None] = {}
-        for key, value in (("stl", file.stl), ("drawing", file.drawing)):
-            beside[key] = folder / value if value else None
-            if value and not (folder / value).is_file():
-                raise ConfigError(f"{described}.{key}: found {value!r}; no such file beside it")
-        if beside["stl"] is not None:
-            stl_size(beside["stl"])
-        return Indenter(name, file.tip, file.size, **beside, source=described)
-    if solid.is_file():
-        width, depth, height = stl_size(solid)
-        tip = f"body of {solid.name}, {height:g} mm high"
-        size = (to_si(width, "mm"), to_si(depth, "mm"))
-        return Indenter(name, tip, size, stl=solid, source=solid)
+    name = name.removesuffix(".yaml").removesuffix(".stl")
+    for path in (folder / f"{name}.yaml", folder / f"{name}.stl"):
+        if path.is_file():
+            return _own(name, path)
     if name in paper_indenters():
         return paper_indenters()[name]
     raise unknown_name(where, name, indenter_names(folder), f"in the paper or {folder}/")
 
 
-_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-# Bytes before the facets of a binary STL file: a title, and their number.
-_HEAD = 84
+def _own(name: str, path: Path) -> Indenter:
+    """Return a lab's own indenter; tip and size are those of its body unless the file has them."""
+    content = read_yaml(path) if path.suffix == ".yaml" else {}
+    beside: dict[str, Path | None] = {}
+    for key in ("stl", "drawing"):
+        other = path.parent / str(content[key]) if content.get(key) else None
+        if other is not None and not other.is_file():
+            raise ConfigError(f"{path}.{key}: found {content[key]!r}; no such file beside it")
+        beside[key] = other
+    if path.suffix == ".stl" or content.pop("parts", None) is not None:
+        if beside["stl"] is not None:
+            raise ConfigError(f"{path}.stl: found {content['stl']!r} beside parts; allowed: either")
+        beside["stl"] = path
+    if (body := beside["stl"]) is not None:
+        width, depth, height = body_size(body)
+        tip = f"body of {body.name}, {height:g} mm high"
+        content = {"tip": tip, "size_mm": [width, depth], **content}
+    file = build(IndenterFile, content, str(path))
+    return Indenter(name, file.tip, file.size, **beside, source=path)
 
 
-def stl_size(path: Path) -> tuple[float, float, float]:
-    """Return the extent along x, y and z of the body in an STL file, binary or text [mm]."""
-    content = path.read_bytes()
-    count = int.from_bytes(content[_HEAD - 4 : _HEAD], "little")
-    if count and len(content) == _HEAD + count * _FACET.itemsize:
-        corners = np.frombuffer(content, _FACET, offset=_HEAD)["corners"].reshape(-1, 3)
-    else:
-        rows = [line.split() for line in content.decode("utf-8", "replace").splitlines()]
-        try:
-            numbers = [[float(each) for each in row[1:4]] for row in rows if row[:1] == ["vertex"]]
-            corners = np.array(numbers, np.float32).reshape(-1, 3)
-        except ValueError:
-            corners = np.zeros((0, 3), np.float32)
-    if not len(corners) or not np.isfinite(corners).all():
-        raise ConfigError(f"{path}: found no triangles; allowed: an STL file, binary or text")
-    width, depth, height = (float(each) for each in np.round(np.ptp(corners, axis=0), 3))
-    if not _PLAUSIBLE[0] <= max(width, depth) <= _PLAUSIBLE[1]:
-        raise ConfigError(
-            f"{path}: the body is {width:g} x {depth:g} x {height:g}; plausible: "
-            f"{_PLAUSIBLE[0]:g} to {_PLAUSIBLE[1]:g} mm wide; is it in another unit than mm?"
-        )
+def body_size(path: Path) -> tuple[float, float, float]:
+    """Return the extent along x, y and z of the body in an STL file, or of parts [mm].
+
+    Raises:
+        ConfigError: The file holds no closed body of a plausible size.
+    """
+    try:
+        from sim.indenters.solid import read_triangles
+
+        corners = read_triangles(path.read_bytes(), str(path), "mm", "+z", "file").vertices
+    except ImportError as error:
+        cure = "install the simulator: pip install 'tactile-rig[sim]'"
+        raise ConfigError(f"{path}: {error}; {cure}") from None
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
+    width, depth, height = np.round(1e3 * np.ptp(corners, axis=0), 3).tolist()
     return width, depth, height

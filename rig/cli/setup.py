@@ -111,22 +111,20 @@ class AtBench:
         A person's answers are kept, and offered when they are asked for again.
         """
         name, usual = question.name, question.usual(self.bench)
-        if (given := self.given.pop(name, None)) is not None:
-            value = question.read(given, self.bench)
-        elif self.options.yes:
+        text = self.given.pop(name, "")
+        if not text and self.options.yes:
             return usual
-        else:
-            offered = self.record.answers.get(name, usual)
-            value = self._asked(question, f"  {question.text} [{offered:g}]: ", str(offered))
-        self.record.answer(name, value)
-        return value
-
-    def _asked(self, question: Question, prompt: str, offered: str) -> float:
+        offered = self.record.answers.get(name, usual)
         while True:
+            text = text or _read(f"  {question.text} [{offered:g}]: ") or str(offered)
             try:
-                return question.read(_read(prompt) or offered, self.bench)
+                value = question.read(text, self.bench)
             except ConfigError as error:
                 print(f"  {error}")
+                text = ""
+                continue
+            self.record.answer(name, value)
+            return value
 
     def do(self, text: str, *places: Point, force: Point = (0.0, 0.0, 0.0)) -> None:
         """Have the person do something at the bench; on a mock bench, its emulators do it.
@@ -516,7 +514,7 @@ def run(options: argparse.Namespace) -> int:
                 code = _steps(at, repeated, skipped)
             if code is not None:
                 return code
-            at = _read_again(at)
+            at = AtBench(options, given)  # the bench file may have been corrected meanwhile
     except (KeyboardInterrupt, EOFError):
         print(f"\nsetup: stopped; {_GOES_ON}")
         return EXIT_INTERRUPTED
@@ -536,17 +534,6 @@ def _writable(option: str, folder: Path) -> Path:
         raise ConfigError(
             f"{option}: {folder}: {error.strerror}; allowed: a folder that this user can write"
         ) from None
-
-
-def _read_again(at: AtBench) -> AtBench:
-    """Return the bench of the file as it is now; the person corrects one that is wrong."""
-    while True:
-        try:
-            return AtBench(at.options, at.given)
-        except ConfigError as error:
-            print(f"  {error}")
-            if _read("  correct the bench file, then Enter; stop: stop: ") == "stop":
-                raise EOFError from None
 
 
 def _steps(at: AtBench, repeated: set[str], skipped: set[str]) -> int | None:
@@ -594,20 +581,15 @@ def _decision(at: AtBench, step: Step) -> str:
     """Return `again`, `accept`, `skip` or `stop`, as the person decides on a fault."""
     if at.options.yes:
         return "stop"
-    allowed = "Enter: measure again (the bench file is read again), accept: accept the fault, "
-    allowed += "skip: leave the step for later, stop: stop"
+    allowed = "Enter to measure again with the bench file as it is now, accept, skip, stop"
     allowed += "".join(f", or another {question.name}" for question in step.asks)
     while typed := _read(f"  {allowed}: "):
         if typed in ("accept", "skip", "stop"):
             return typed
-        try:
-            for question in step.asks if any(map(str.isdigit, typed)) else ():
-                question.read(typed, at.bench)
-                at.given[question.name] = typed
-                return "again"
-            print(f"  found {typed!r}; allowed: {allowed}")
-        except ConfigError as error:
-            print(f"  {error}")
+        if step.asks and any(map(str.isdigit, typed)):
+            at.given[step.asks[0].name] = typed
+            break
+        print(f"  found {typed!r}; allowed: {allowed}")
     return "again"
 
 

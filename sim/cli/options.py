@@ -88,9 +88,8 @@ EDGE = "edge_radius"
 # Default edge radius of a shape by measure, as far as there is room. Most of the named shapes have
 # the same radius, since a sharp edge is never solved reproducibly.
 EDGE_MM = 0.3
-# Suffix of a file given in place of a shape, and the keys that may follow it.
-FILE = ".stl"
-FILE_KEYS = ("unit", "up", EDGE)
+# Suffixes of a file given in place of a shape, and the keys that may follow each.
+FILES = {".stl": ("unit", "up", EDGE), ".yaml": (EDGE,)}
 
 
 def _measures(shape: str) -> list[str]:
@@ -111,7 +110,8 @@ def add_indenter_options(parser: argparse.ArgumentParser) -> None:
         metavar="NAME[:KEY=VALUE,...]",
         help=f"one of {', '.join(NAMES)}; or a shape with its measures, lengths in [mm], angles in "
         f"[deg]: {by_measure}; or an STL file, with unit={'|'.join(UNITS)} (mm) and "
-        f"up={'|'.join(UPS)}, the axis that points away from the skin (+z). {EDGE}= rounds every "
+        f"up={'|'.join(UPS)}, the axis that points away from the skin (+z), or a YAML file of "
+        f"parts. {EDGE}= rounds every "
         f"convex edge (named shapes: their own, else {EDGE_MM} as far as there is room) "
         "(%(default)s)",
     )
@@ -130,7 +130,7 @@ def indenter_of(options: argparse.Namespace) -> Indenter:
 
 def _upright(options: argparse.Namespace) -> Indenter:
     shape, texts = split_shape(options.shape)
-    if shape.lower().endswith(FILE):
+    if Path(shape).suffix.lower() in FILES:
         return _from_file(shape, texts, options)
     sizes = {key: _si(shape, key, text) for key, text in texts.items()}
     edge = sizes.pop(EDGE, None)
@@ -173,9 +173,10 @@ def split_shape(text: str) -> tuple[str, dict[str, str]]:
 
 def _from_file(path: str, texts: dict[str, str], options: argparse.Namespace) -> Indenter:
     for key, text in texts.items():
-        choices = {"unit": UNITS, "up": UPS}.get(key, ())
-        if key not in FILE_KEYS or (choices and text not in choices):
-            allowed = f"{key}={'|'.join(choices)}" if choices else ", ".join(FILE_KEYS)
+        keys = FILES[Path(path).suffix.lower()]
+        choices = {"unit": UNITS, "up": UPS}.get(key, ()) if key in keys else ()
+        if key not in keys or (choices and text not in choices):
+            allowed = f"{key}={'|'.join(choices)}" if choices else ", ".join(keys)
             raise SceneError(f"--shape {path}: {key}={text}; allowed: {allowed}")
     # Warp computes distances to the file's triangles, whichever the tier.
     ready_device(options.device)

@@ -3,6 +3,7 @@
 from sim.indenters.drawn import DRAWN_MOST, drawn_name, indenter_of, is_indenter, number_of
 from sim.indenters.indenter import Indenter
 from sim.indenters.outline import Part
+from sim.indenters.parts import assembled
 from sim.indenters.shapes import (
     NAMES,
     bar,
@@ -28,6 +29,7 @@ __all__ = [
     "Indenter",
     "Part",
     "Solid",
+    "assembled",
     "bar",
     "box",
     "cone",

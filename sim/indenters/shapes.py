@@ -9,7 +9,7 @@ from pathlib import Path
 from sim.errors import SceneError, check_kind, check_range, plain
 from sim.indenters.indenter import Indenter
 from sim.indenters.outline import Part
-from sim.indenters.solid import REACH, SPACING, Axis, Solid, Unit, Up, digest, with_edges
+from sim.indenters.solid import REACH, READERS, SPACING, Axis, Solid, Unit, Up, digest, with_edges
 
 # The half-space above z = 0: the flat face of a punch.
 TIP_PLANE = Part("side", "half_plane", (0.0, -1.0, 0.0))
@@ -299,7 +299,7 @@ _TABLE: dict[str, tuple[Callable[[], Indenter], float]] = {
 NAMES: tuple[str, ...] = tuple(_TABLE)
 
 
-# An indenter from any STL file.
+# An indenter from any STL file, or of the parts in a YAML file.
 
 
 def from_stl(
@@ -307,13 +307,13 @@ def from_stl(
     *,
     unit: Unit = "mm",
     up: Up = "+z",
-    axis: Axis = "middle",
+    axis: Axis | None = None,
     edge_radius: float | None = None,
     spacing: float | None = None,
     reach: float = REACH,
     name: str | None = None,
 ) -> Indenter:
-    """Return the body in an STL file, binary or text, with its lowest point at z = 0.
+    """Return the body in an STL file, or of a YAML file's parts, with its lowest point at z = 0.
 
     The file is read and checked and distances to the body are computed immediately, which takes
     seconds. A stored scene contains the file's path and digest, and reads the file again when it is
@@ -324,10 +324,11 @@ def from_stl(
     named indenter as a file of such facets, with sharp edges, gives the same forces within 1 %.
 
     Args:
-        path: The file.
+        path: The file, an STL file, binary or text, or a YAML file with `parts` (`assembled`).
         unit: Unit of its numbers.
         up: Axis of the file that points away from the skin; "-z" if its tip is up.
-        axis: Origin of x and y: the `middle` of the bounding box, or that of the `file`.
+        axis: Origin of x and y: the `middle` of the bounding box, as by default of an STL file, or
+            that of the `file`, as by default of parts.
         edge_radius: Least radius of every convex edge [m]: sharper edges get it, rounder ones in
             the file are unchanged; with 0, edges are as sharp as the grid resolves. By default it
             is that of the named indenters: 0.3 mm, or less (0.2, 0.15, 0.1, 0.05 mm) to leave thin
@@ -346,6 +347,7 @@ def from_stl(
     check_kind("path", path, str | PathLike, "the path of a file")
     file = Path(path).resolve()
     step = SPACING if spacing is None else spacing
+    axis = axis or ("file" if file.suffix in READERS else "middle")
     solid = Solid(str(file), digest(file.read_bytes()), unit, up, axis, step, reach)
     indenter = Indenter(name or file.stem, edge_radius=edge_radius or 0.0, solid=solid)
     solid = with_edges(solid, edge_radius, spacing)

@@ -138,6 +138,8 @@ UPS: tuple[Up, ...] = get_args(Up)
 AXES: tuple[Axis, ...] = get_args(Axis)
 METRES: dict[Unit, float] = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "inch": 25.4e-3}
 
+# Readers of other files than STL, by suffix: of content and name to vertices and triangles.
+READERS: dict[str, Callable[[bytes, str], tuple[Array, Array]]] = {}
 # Bytes before the first triangle of a binary file, and bytes per triangle.
 HEADER, RECORD = 84, 50
 # Limits of an indenter's longest side [m]; others are assumed to be a wrong unit.
@@ -163,7 +165,7 @@ class Triangles:
 
 
 def read_triangles(data: bytes, name: str, unit: Unit, up: Up, axis: Axis) -> Triangles:
-    """Read the body in an STL file, binary or text; the options are those of `from_stl`."""
+    """Read the body in an STL file, or of a YAML file's parts; options are those of `from_stl`."""
     mesh = _read(data, name)
     if not np.isfinite(mesh.vertices).all():
         count = int((~np.isfinite(mesh.vertices).all(axis=1)).sum())
@@ -198,6 +200,8 @@ def _read(data: bytes, name: str) -> Trimesh:
     """Return the file's unprocessed triangles."""
     import trimesh
 
+    if reader := READERS.get(Path(name).suffix):
+        return trimesh.Trimesh(*reader(data, name), process=False)
     _check_whole(data, name)
     try:
         with warnings.catch_warnings():

@@ -1,12 +1,13 @@
 """Indenters have a shape: the paper's by name, a lab's own by a file, and no other name."""
 
+import re
 from pathlib import Path
 
-import numpy as np
 import pytest
+from support.stl_files import block, write_binary
 
 from learning.indenters import NAMES
-from rig.bench.indenter import find_indenter, indenter_names, paper_indenters, stl_size
+from rig.bench.indenter import find_indenter, indenter_names, paper_indenters
 from rig.core.errors import ConfigError
 
 
@@ -32,65 +33,61 @@ def test_another_name_is_refused_with_the_likely_one(tmp_path: Path) -> None:
             find_indenter(name, folder=tmp_path)
 
 
-FACES = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
+PARTS = """
+parts:
+  - {shape: box, size_mm: [4, 6, 5], turn_deg: [0, 0, 90]}
+  - {shape: sphere, radius_mm: 2, position_mm: [5, 0, -1]}
+"""
 
 
-def _stl(path: Path, scale: float, *, text: bool = False) -> Path:
-    """Write a tetrahedron, 4 by 6 by 10 times `scale`."""
-    corners = scale * np.array([[0, 0, 0], [4, 0, 0], [0, 6, 0], [0, 0, 10]], np.float32)
-    if text:
-        rows = ["solid x"]
-        for face in FACES:
-            vertices = [f"vertex {' '.join(map(str, corners[k].tolist()))}" for k in face]
-            rows += ["facet normal 0 0 0", "outer loop", *vertices, "endloop", "endfacet"]
-        path.write_text("\n".join([*rows, "endsolid x\n"]))
-        return path
-    facets = [bytes(12) + corners[list(face)].astype("<f4").tobytes() + b"\0\0" for face in FACES]
-    path.write_bytes(b"x" * 80 + len(FACES).to_bytes(4, "little") + b"".join(facets))
-    return path
+def test_ones_own_is_an_stl_file_or_of_parts_or_described(tmp_path: Path) -> None:
+    write_binary(tmp_path / "thumb.stl", block(4, 6, 10))
+    for name, text, size, tip in (
+        ("thumb", "", (4e-3, 6e-3), "body of thumb.stl, 10 mm high"),
+        ("own.yaml", PARTS, (10e-3, 4e-3), "body of own.yaml, 6 mm high"),  # x from -3 to 7 mm
+        ("own", f"tip: a nose{PARTS}", (10e-3, 4e-3), "a nose"),
+        ("own", "stl: thumb.stl", (4e-3, 6e-3), "body of thumb.stl, 10 mm high"),
+        ("cone", "{tip: steel needle, size_mm: [1.0, 1.0]}", (1e-3, 1e-3), "steel needle"),
+    ):
+        file = tmp_path / (f"{name.removesuffix('.yaml')}.yaml" if text else "thumb.stl")
+        if text:
+            file.write_text(text)
+        found = find_indenter(name, folder=tmp_path)
+        assert (found.name, found.tip, found.source) == (file.stem, tip, file)
+        assert found.size == pytest.approx(size)
+        attrs = found.attrs()
+        assert (attrs["source"], len(attrs["sha256"])) == (file.name, 64)
+        assert str(tmp_path) not in str(attrs)
+    assert {"thumb", "own"} < set(indenter_names(tmp_path))
 
 
-@pytest.mark.parametrize("text", [False, True])
-def test_ones_own_is_an_stl_file_in_the_labs_folder(tmp_path: Path, text: bool) -> None:
-    _stl(tmp_path / "thumb.stl", 1.0, text=text)
-    found = find_indenter("thumb", folder=tmp_path)
-    assert found.size == pytest.approx((4e-3, 6e-3))
-    assert found.stl == tmp_path / "thumb.stl"
-    attrs = found.attrs()
-    assert attrs["source"] == "thumb.stl"
-    assert len(attrs["sha256"]) == 64
-    assert str(tmp_path) not in str(attrs)
-    assert "thumb" in indenter_names(tmp_path)
-
-
-@pytest.mark.parametrize("scale", [1e-3, 1e3])
-def test_an_stl_file_in_another_unit_is_refused(tmp_path: Path, scale: float) -> None:
-    with pytest.raises(ConfigError, match="is it in another unit than mm"):
-        stl_size(_stl(tmp_path / "x.stl", scale))
-
-
-@pytest.mark.parametrize("content", [b"", b"solid x\nendsolid x\n", b"\0" * 84, b"vertex 1 b 2"])
-def test_a_file_without_triangles_is_refused(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "x.stl"
-    path.write_bytes(content)
-    with pytest.raises(ConfigError, match="no triangles"):
-        find_indenter("x", folder=tmp_path)
-
-
-def test_ones_own_yaml_has_precedence_and_its_keys_are_checked(tmp_path: Path) -> None:
-    path = tmp_path / "cone.yaml"
-    path.write_text("{tip: steel needle, size_mm: [1.0, 1.0]}\n")
-    found = find_indenter("cone", folder=tmp_path)
-    assert (found.tip, found.source) == ("steel needle", path)
-    for text, words in (
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
         ("{tip: x, size_mm: [0.001, 0.001]}", "is it in m?"),
         ("{tip: x, size_mm: [1.0]}", "found 1 values"),
         ("{tip: x, size_mm: [1.0, 1.0], stl: no.stl}", "no such file beside it"),
         ("{tip: x}", "missing size_mm"),
-    ):
-        path.write_text(text)
-        with pytest.raises(ConfigError, match=words.replace("?", r"\?")):
-            find_indenter("cone", folder=tmp_path)
+        ("stl: inch.stl", "inch.stl: 0.01 mm long, read in mm; allowed: 0.5 to 200 mm (is the"),
+        ("stl: x.yaml", "x.yaml.parts: found None; allowed: a list of one or more parts"),
+        ("parts: []", "x.yaml.parts: found []; allowed: a list of one or more parts"),
+        ("parts: [{shape: cub, size_mm: [1, 1, 1]}]", "parts[0]: shape: found 'cub' with size;"),
+        ("parts: [{shape: box}]", "found 'box' with no measure; allowed: sphere with radius"),
+        ("parts: [{shape: box, radius_mm: 1}]", "found 'box' with radius; allowed"),
+        ("parts: [{shape: wave, radius_mm: 1}]", "found 'wave' with radius; allowed"),
+        ("parts: [{shape: sphere, radius_mm: -1}]", "radius: -0.001; allowed: above 0 (in SI"),
+        ("parts: [{shape: sphere, radius_mm: 0.003}]", "is it in m? then write 3"),
+        ("parts: [{shape: sphere, turn_deg: [0, 0, 3.14159]}]", "is it in rad?"),
+        ("parts: [{shape: sphere, radius: 3}]", "unknown radius; did you mean radius_mm?"),
+        ("parts: [{shape: sphere}]\nstl: inch.stl", "x.yaml.stl: found 'inch.stl' beside parts"),
+        ("parts: [{shape: sphere, radius_mm: 90}]", "found [180.0, 180.0]; plausible: 0.2 to 100"),
+    ],
+)
+def test_a_body_that_cannot_be_is_refused(tmp_path: Path, content: str, words: str) -> None:
+    write_binary(tmp_path / "inch.stl", block(0.004, 0.006, 0.01))
+    (tmp_path / "x.yaml").write_text(content)
+    with pytest.raises(ConfigError, match=re.escape(words)):
+        find_indenter("x", folder=tmp_path)
 
 
 @pytest.mark.slow

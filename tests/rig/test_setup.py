@@ -164,7 +164,7 @@ TYPED: dict[str, tuple[list[Any], str, int, tuple[float, ...]]] = {
     "stop instead of Enter": (["50", "", "stop"], STOPPED, 130, ()),
     "Ctrl-C": (["50", KeyboardInterrupt], STOPPED, 130, ()),
     "Ctrl-D": (["50", None], STOPPED, 130, ()),
-    "a choice that is none": (["50", "", "", "a", "stop"], "found 'a'; allowed: Enter: mea", 3, ()),
+    "a choice that is none": (["50", "", "", "a", "stop"], "found 'a'; allowed: Enter to ", 3, ()),
     "two lines": (["50", "", "", "accept\naccept", "stop"], "found 'accept\\naccept'", 3, ()),
     "stop": (["50", "", "", "stop"], "setup: stopped at second; the same command goes", 3, ()),
     "accept": (["50", "", "", " accept "], "setup: accepted with faults: second", 0, ()),
@@ -203,7 +203,7 @@ def test_another_number_corrects_an_answer_after_a_fault(
     assert setup.run(parsed(tmp_path)) == 0
     text = capsys.readouterr().out
     assert "weight_g: found '-60'; allowed: 1 to" in text
-    assert "found 'banana'; allowed: Enter: measure again" in text
+    assert "found 'banana'; allowed: Enter to measure again" in text
     assert asked[5] == "mass of the known weight [g] [60]:"
     assert steps.run == ["second"] * 3
 

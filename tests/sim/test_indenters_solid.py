@@ -10,10 +10,21 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
+from scipy.spatial.transform import Rotation
 from support import stl_files as files
 
 from sim.errors import SceneError
-from sim.indenters import Indenter, box, from_stl, rounded_cone, sphere, tube
+from sim.indenters import (
+    NAMES,
+    Indenter,
+    assembled,
+    box,
+    from_stl,
+    named,
+    rounded_cone,
+    sphere,
+    tube,
+)
 from sim.indenters.solid import Field, NodeGrid, coefficients, level_surface
 from sim.result import from_json, to_json
 from sim.scene import Scene, press
@@ -290,3 +301,34 @@ def test_parts_and_a_solid_do_not_go_together(make: Make) -> None:
     found = make("block", files.block(3, 4, 5))
     with pytest.raises(SceneError, match="parts and a solid; allowed: either"):
         replace(found, parts=sphere(1e-3).parts)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_named_shape_as_a_part_has_its_surface_where_it_is_put(name: str) -> None:
+    text = f"parts: [{{shape: {name}, position_mm: [1, 2, 3], turn_deg: [0, 0, 30]}}]"
+    corners, faces = assembled(text.encode(), "x.yaml")
+    turn = Rotation.from_rotvec([0, 0, np.pi / 6])
+    corners = turn.apply(1e-3 * (corners - [1, 2, 3]), inverse=True)
+    middles = corners[faces].mean(axis=1)
+    for points, most in ((corners, 1e-9), (middles, 0.03e-3)):
+        gap = named(name, 0.0).distance(points[points[:, 2] < 9.9e-3])[0]
+        assert np.abs(gap).max() < most
+
+
+def test_parts_are_one_body_of_the_volume_of_their_union(tmp_path: Path) -> None:
+    path = tmp_path / "own.yaml"
+    path.write_text(
+        "parts:\n"
+        "- {shape: box, size_mm: [4, 4, 2], position_mm: [0, 0, 1]}\n"
+        "- {shape: box, size_mm: [4, 4, 2], position_mm: [0, 0, 3]}\n"
+        "- {shape: cylinder, radius_mm: 1, height_mm: 9}\n"
+    )
+    body = from_stl(path, edge_radius=0.0)
+    corners, faces = body.solid.triangles().vertices, body.solid.triangles().faces
+    a, b, c = np.moveaxis(corners[faces], 1, 0)
+    volume = np.einsum("ij,ij->", a, np.cross(b, c)) / 6
+    assert volume == pytest.approx((64 + 5 * np.pi) * 1e-9, rel=1e-3)
+    assert body.bounds[2][0] == 0.0
+    # A wall over the joint is no edge, and the tip is that of the cylinder.
+    assert body.distance([2.1e-3, 0.0, 3e-3])[0] == pytest.approx(0.1e-3, abs=2e-6)
+    assert body.heights(0.0, [0.0, 1.5e-3])[1] == pytest.approx(1e-3, abs=2e-6)

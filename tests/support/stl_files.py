@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
-from sim.indenters import named
-from sim.indenters.outline import pieces
+from sim.indenters import parts
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -68,107 +68,11 @@ def ball(radius: float, count: int) -> Body:
     return points, _halved(np.concatenate(faces))
 
 
-def revolved(profile: Sequence[tuple[float, float]], count: int) -> Body:
-    """Return a closed outline (distance from axis, z), material on its left, revolved about z."""
-    radius, z = np.array(profile, float).T
-    ring = np.column_stack([*_circle(1.0, count).T, np.zeros(count)])
-    rings = radius[:, None, None] * ring + z[:, None, None] * [0, 0, 1]
-    return lofted([*rings, rings[0]])
-
-
-def lofted(rings: Sequence[Array]) -> Body:
-    """Return the surface between neighbouring closed rings of points (N, 3)."""
-    count = len(rings[0])
-    here = np.arange(len(rings) - 1)[:, None] * count
-    this, after = np.arange(count), (np.arange(count) + 1) % count
-    quads = [here + this, here + after, here + count + after, here + count + this]
-    return np.concatenate(rings), _halved(np.stack(quads, axis=-1).reshape(-1, 4))
-
-
-def extruded(outline: Array, height: float) -> Body:
-    """Return the body from z = 0 to `height` over an anticlockwise outline (N, 2)."""
-    count, left, ends = len(outline), list(range(len(outline))), []
-
-    def turn(*corners: int) -> float:
-        a, b, c = outline[list(corners)]
-        return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
-
-    def is_ear(a: int, b: int, c: int) -> bool:
-        others = [d for d in left if d not in (a, b, c)]
-        within = (min(turn(a, b, d), turn(b, c, d), turn(c, a, d)) >= 0 for d in others)
-        return turn(a, b, c) > 1e-9 and not any(within)
-
-    while len(left) > 2:
-        corners = zip(np.roll(left, 1), left, np.roll(left, -1), strict=True)
-        ear = next((int(a), int(b), int(c)) for a, b, c in corners if is_ear(a, b, c))
-        ends.append(ear)
-        left.remove(ear[1])
-    flat = np.array(ends)
-    rings = [np.column_stack([outline, np.full(count, z)]) for z in (0.0, height)]
-    vertices, walls = lofted(rings)
-    return vertices, np.concatenate([walls, flat[:, ::-1], flat + count])
-
-
-def turned_up(body: Body, up: float) -> Body:
-    """Return a body along z laid along y, its y upwards and lower by `up`."""
-    return np.roll(body[0], 1, axis=1)[:, [1, 0, 2]] * [1, -1, 1] - [0, 0, up], body[1]
-
-
 def as_published(name: str, count: int) -> Body:
     """Return a named indenter [mm] of flat facets, `count` around a circle, with sharp edges."""
-    top, quarter = 20.0, np.arange(count // 4 + 1) / (count // 4) * math.pi / 2
-    if name in ("sphere", "sphere_s", "dots"):
-        radius = {"sphere": 5.0, "sphere_s": 3.0, "dots": 1.0}[name]
-        arc = [(radius * math.sin(t), radius * (1 - math.cos(t))) for t in quarter]
-        body = revolved([*arc, (0, radius)], count)
-        middles = [(3 * x, 3 * y, 0) for x, y in -_circle(1.0, 5)]
-        return joined(*(moved(body, middle) for middle in middles)) if name == "dots" else body
-    if name in ("cone", "cylinder", "cylinder_sh", "torus"):
-        tube = np.column_stack([[3, 1.5]] * count).T + _circle(1.5, count, 0.5)
-        profile = {
-            "cone": [(0, 0), (0.5, 0), (4, 10), (0, 10)],
-            "cylinder": [(0, 0), (3, 0), (3, top), (0, top)],
-            "cylinder_sh": [(2.7, 0), (3.5, 0), (3.5, top), (2.7, top)],
-            "torus": [(float(x), float(z)) for x, z in tube],
-        }
-        return revolved(profile[name], count)
-    if name in ("hemisphere", "dotin"):
-        angle = np.unique(np.append(np.arange(count) / count, np.arange(1, 8, 2) / 8)) * math.tau
-        around = np.column_stack([np.cos(angle), np.sin(angle)])
-        square = around / np.abs(around).max(axis=1)[:, None]
-        plan = [7 * square * scale for scale in np.linspace(0, 1, 5)]
-        low = [20 - np.sqrt(400 - (ring**2).sum(axis=1)) for ring in plan]
-        if name == "dotin":
-            plan = [*(2 * math.sin(t) * around for t in quarter), 4 * square]
-            low = [*(np.full(len(angle), 2 * math.cos(t)) for t in quarter), 0 * angle]
-        plan, low = [*plan, plan[-1], 0 * around], [*low, 0 * angle + top, 0 * angle + top]
-        return lofted([np.column_stack(each) for each in zip(plan, low, strict=True)])
-    if name == "cylinder_si":
-        return moved(turned_up(extruded(_circle(3.0, count, 0.5), 14.0), -3.0), (0, 7, 0))
-    if name in ("prism", "line"):
-        return block(*{"prism": (5, 7), "line": (2, 16)}[name], top)
-    outline = np.array(_outline(name, math.tau / count))
-    body = extruded(outline, 14.0 if name == "wave" else top)
-    return moved(turned_up(body, 0.0), (0, 7, 0)) if name == "wave" else body
-
-
-def _circle(radius: float, count: int, shift: float = 0.0) -> Array:
-    angle = (np.arange(count) + shift) / count * math.tau
-    return radius * np.column_stack([np.cos(angle), np.sin(angle)])
-
-
-def _outline(name: str, step: float) -> list[tuple[float, float]]:
-    """Return the path of a named indenter's first part [mm], arcs cut at about `step` [rad]."""
-    corners = []
-    for piece in pieces(named(name, 0.0).parts[0].values):
-        turns = max(1, math.ceil(abs(piece.angle) / step - 1e-9))
-        corners.append(piece.start)
-        for angle in piece.angle * np.arange(1, turns) / turns:
-            u, v = np.array(piece.start) - piece.centre
-            sine, cosine = math.sin(angle), math.cos(angle)
-            x, y = piece.centre
-            corners.append((x + u * cosine - v * sine, y + u * sine + v * cosine))
-    return [(1e3 * x, 1e3 * y) for x, y in corners]
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(parts, "FACETS", count)
+        return parts.assembled(f"parts: [{{shape: {name}}}]".encode(), name)
 
 
 def joined(*bodies: Body) -> Body:

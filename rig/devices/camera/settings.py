@@ -17,6 +17,10 @@ class CameraSettings(StreamSettings):
         default=1.0, kw_only=True, metadata={"unit": "ms", "plausible": (5, 60000)}
     )
     """Silence after which the camera counts as lost [s]."""
+    width: int = field(default=640, kw_only=True)
+    """[px]"""
+    height: int = field(default=480, kw_only=True)
+    """[px]"""
 
     def attrs(self, description: Mapping[str, Any]) -> dict[str, Any]:
         """Return attributes of the stream of the open camera, such as `exposure` [s] and `stamp`.
@@ -37,10 +41,6 @@ class V4l2Config(CameraSettings):
     """The node, or its number."""
     rate_hz: float = 30.0
     """Frame rate requested of the camera."""
-    width: int = 640
-    """[px]"""
-    height: int = 480
-    """[px]"""
     fourcc: str = "MJPG"
     """Pixel format requested of the camera; with MJPG its JPEG bytes are kept."""
     exposure: float | None = field(
@@ -84,10 +84,6 @@ class MjpegConfig(CameraSettings):
     """http://..."""
     rate_hz: float = 30.0
     """Frame rate that the camera sends; it is set on the camera's own server, as its exposure."""
-    width: int = 640
-    """[px]"""
-    height: int = 480
-    """[px]"""
     repeats: bool = False
     """True if equal consecutive frames count separately, as in a replay of a still scene; else they
     are one frame sent twice: no two pictures of a sensor are equal."""
