@@ -19,7 +19,6 @@ from learning.data.dataset import _require_room
 from learning.errors import LearningError
 from recorder import Session, SessionError
 from recorder.catalogue import FILE, Catalogue
-from recorder.command_line.errors import failure
 from recorder.session import StreamWriter
 from recorder.store import replace_file
 from rig.core.names import operator_name
@@ -57,16 +56,6 @@ def test_a_folder_that_cannot_be_written_is_listed(
     catalogue.refresh()
     assert [row.path for row in catalogue] == ["s.zarr"]
     assert not (tmp_path / FILE).exists()
-
-
-def test_what_cannot_be_written_is_said_with_its_path_and_cure(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert failure(OSError(errno.EROFS, "Read-only file system", "/mnt/s.log")) == 2
-    assert capsys.readouterr().err == (
-        "cannot read or write: /mnt/s.log: Read-only file system; mounted read-only: name a folder "
-        "on another disk\n"
-    )
 
 
 def test_a_folder_that_cannot_be_synced_keeps_its_files(tmp_path: Path, monkeypatch: Patch) -> None:

@@ -81,7 +81,7 @@ def examine(
     yield computer(load := Load.read())
     yield time_of_day()
     for finding in _devices(bench, folder, clock, watch):
-        yield _without_cables(finding, load) if bench.mock else _load_first(finding, load)
+        yield _explained(finding, load, mock=bench.mock)
 
 
 def _devices(
@@ -101,21 +101,18 @@ def _devices(
     yield from _interlocks(bench, clock)
 
 
-def _load_first(finding: Finding, load: Load) -> Finding:
-    """Return a fault of a device with the busy computer as the first thing to cure."""
-    if finding.state != "FAULT" or not load.shortages():
-        return finding
-    return replace(finding, cures=("first the computer, which is busy: see above", *finding.cures))
-
-
-def _without_cables(finding: Finding, load: Load) -> Finding:
-    """Return a fault of an emulated device, which has no cables."""
+def _explained(finding: Finding, load: Load, *, mock: bool) -> Finding:
+    """Return a device's fault with a busy computer as its first cure, on a mock without cables."""
     if finding.state != "FAULT":
         return finding
-    late = "an emulator that ended or is late: start the command again"
-    cures = dict.fromkeys(late if _HARDWARE.search(cure) else cure for cure in finding.cures)
-    text = problem(finding.text) if _HARDWARE.search(finding.text) else finding.text
-    return _load_first(replace(finding, text=text, cures=tuple(cures)), load)
+    text, cures = finding.text, finding.cures
+    if mock:
+        late = "an emulator that ended or is late: start the command again"
+        cures = tuple(dict.fromkeys(late if _HARDWARE.search(cure) else cure for cure in cures))
+        text = problem(text) if _HARDWARE.search(text) else text
+    if load.shortages():
+        cures = ("first the computer, which is busy: see above", *cures)
+    return replace(finding, text=text, cures=cures)
 
 
 # The plan

@@ -5,7 +5,6 @@ Sources: `/proc/loadavg` and `/proc/meminfo` (proc(5)), and the pressure stall i
 (docs.kernel.org/accounting/psi.html).
 """
 
-import contextlib
 import math
 import os
 import re
@@ -77,9 +76,7 @@ class Load:
 
 def _text(path: Path) -> str:
     """Return the content of a file of the kernel, empty without it."""
-    with contextlib.suppress(OSError):
-        return path.read_text()
-    return ""
+    return path.read_text() if path.exists() else ""
 
 
 def busy(load: Load, stalled: float = 0.0) -> str:
@@ -100,12 +97,7 @@ def explained(
 
     A message without anything to check tells the cause already. On a mock bench, whose devices have
     no cables, the message says nothing of what to check.
-
-    Args:
-        error: An error, or one that `combined` made of several.
-        mock: True for a mock bench.
-        load: The computer's state; None: the present one.
-        stalled: The longest time for which a process of ours stood still lately [s].
+    `load` is the computer's state, by default the present one; `stalled` as in `busy`.
     """
     each = [str(one) for one in getattr(error, "failures", (error,))]
     short = [problem(text) for text in each]

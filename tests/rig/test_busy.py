@@ -97,17 +97,11 @@ def test_the_doctor_names_the_computer(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_doctor_speaks_of_no_cable_on_a_mock() -> None:
-    lost = doctor.Finding(
-        "pose", "FAULT", SILENT, ("plug the cable in", "arm.host, as on its page")
-    )
-    found = doctor._without_cables(lost, IDLE)
+    lost = doctor.Finding("pose", "FAULT", SILENT, ("plug the cable in", "its address"))
+    found = doctor._explained(lost, CROWDED, mock=True)
     assert found.text == "arm at 127.1.1.1: silent"
-    assert [cure.split(",")[0] for cure in found.cures] == [
-        "an emulator that ended or is late: start the command again",
-        "arm.host",
-    ]
-    assert "the computer" in doctor._load_first(lost, CROWDED).cures[0]
-    assert doctor._load_first(lost, IDLE) is lost
+    assert [cure.split()[1] for cure in found.cures] == ["the", "emulator", "address"]
+    assert doctor._explained(lost, IDLE, mock=False) == lost
 
 
 @pytest.mark.parametrize(

@@ -50,6 +50,12 @@ def raised(error: BaseException) -> int:
             2,
             "cannot read or write: x.npy: No such file or directory",
         ),
+        (
+            OSError(errno.EROFS, "Read-only file system", "s.log"),
+            2,
+            "cannot read or write: s.log: Read-only file system; mounted read-only: name a folder "
+            "on another disk",
+        ),
         (PermissionError("out: not writable"), 2, "cannot read or write: out: not writable"),
         (
             BrokenPipeError(errno.EPIPE, "Broken pipe"),
