@@ -23,7 +23,7 @@ from trajectories import Point
 _ERRORS = {error.__name__: error for error in (ConfigError, DeviceLost, SessionError)}
 # Starting an interpreter and importing OpenCV takes a second here, more on a busy machine and when
 # many start at once: the time allowed in all, and for each stream [s].
-_START_TIMEOUT, _START_TIMEOUT_EACH = 20.0, 6.0
+_START_TIMEOUT, _START_TIMEOUT_EACH = 60.0, 6.0
 # Sealing syncs up to 64 images; a slow disk may need the time, and killing it would lose the seal.
 _CLOSE_TIMEOUT = 30.0
 

@@ -38,8 +38,8 @@ logger = logging.getLogger(__name__)
 # Start height of the arm above the middle of the sensor [m].
 _START_HEIGHT = 0.03
 _UR_PORTS = (29999, 30001, 30002, 30003, 30004)
-# Interpreters start one after the other on a small machine [s].
-_READY_TIMEOUT = 30.0
+# Interpreters start one after the other on a small or busy machine [s].
+_READY_TIMEOUT = 90.0
 _END_TIMEOUT = 5.0
 # The processes share the cores with each other and with the rig: none may use several threads for a
 # matrix product, or busy-wait for the others.
