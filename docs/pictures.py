@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 from scipy.ndimage import binary_erosion
 
-from recorder.charts import BAND, BLUE, GREEN, ORANGE, RED, SKY, chart
+from recorder.charts import BAND, BLUE, FORCES, ORANGE, RED, SKY, chart
 from recorder.charts import INK as LINE
 from recorder.charts import SOFT as GREY
-from recorder.plot import INK, PANEL, PAPER, SOFT, font
+from recorder.plot import PANEL, Tile, sheet
 from rig.acquire.preview import draw as draw_plan
 from rig.bench.bench import Bench, BenchFile
 from rig.core.packaged import BENCHES
@@ -46,10 +46,8 @@ IMAGES = Path(__file__).with_name("images")
 TIPS = Path(__file__).parents[1] / "rig/bench/indenters"
 Point = tuple[float, float]
 Place = tuple[float, float, float]
-# Title, line of text, picture.
-Tile = tuple[str, str, NDArray[np.uint8]]
 
-AXES = ((RED, "x"), (GREEN, "y"), (BLUE, "z"))
+AXES = tuple(zip(FORCES, "xyz", strict=True))
 # Directions of x, y and z of the base on the page, seen from the front and above.
 LOOK = np.array([[0.92, 0.42, 0.0], [-0.16, 0.36, 1.0]])
 
@@ -250,23 +248,13 @@ LIGHT = np.array([-0.5, 0.6, -0.62]) / np.linalg.norm([-0.5, 0.6, -0.62])
 # Side of the gel in a tile, unless the pattern is wider [m], and the GelSight's scale.
 GEL, GELSIGHT_MM_PER_PX = 20e-3, 0.0249
 MARKER, FRAME = np.array([40.0, 44.0, 54.0]), (196, 78, 62)
-# Tiles in a row, gap, and height of the text under a tile [px].
-COLUMNS, GAP, CAPTION = 6, 16, 46
+COLUMNS = 6
 
 
-def sheet(tiles: Sequence[Tile], size: tuple[int, int], across: int = COLUMNS) -> Image.Image:
-    """Return a page of tiles, each with its title and a line of text below."""
-    width, height = size[0] + GAP, size[1] + CAPTION + GAP
-    down = -(-len(tiles) // across)
-    page = Image.new("RGB", (min(across, len(tiles)) * width + GAP, down * height + GAP), PAPER)
-    pen = ImageDraw.Draw(page)
-    for index, (title, text, pixels) in enumerate(tiles):
-        left, top = GAP + index % across * width, GAP + index // across * height
-        tile = Image.fromarray(pixels).resize(size, Image.Resampling.LANCZOS)
-        page.paste(tile, (left, top))
-        pen.text((left, top + size[1] + 18), title, INK, font(15), anchor="ls")
-        pen.text((left, top + size[1] + 37), text, SOFT, font(12), anchor="ls")
-    return page
+def tile_sheet(tiles: Sequence[Tile], size: tuple[int, int], across: int = COLUMNS) -> Image.Image:
+    """Return a page of tiles."""
+    rows = [("", "", tiles[first : first + across]) for first in range(0, len(tiles), across)]
+    return sheet(rows, min(across, len(tiles)), size)
 
 
 def indenters(path: Path) -> None:
@@ -274,8 +262,9 @@ def indenters(path: Path) -> None:
     tiles = []
     for each in map(named, NAMES):
         edges = f"edges {each.edge_radius * 1e3:g} mm" if each.edge_radius else "no edge"
-        tiles.append((each.name, f"{edges}; tile {VIEW * 1e3:g} mm", shaded(each, 400)))
-    sheet(tiles, (200, 200)).save(path)
+        text = f"{edges}; tile {VIEW * 1e3:g} mm"
+        tiles.append(Tile(shaded(each, 400), (each.name, text)))
+    tile_sheet(tiles, (200, 200)).save(path)
 
 
 def shaded(indenter: Indenter, tile: int) -> NDArray[np.uint8]:
@@ -312,8 +301,8 @@ def patterns(path: Path) -> None:
             ends = (100 - x, 100 - y, 100 + x, 100 + y)
             ImageDraw.Draw(tile).rectangle(ends, outline=FRAME)
         text = f"{len(pattern)} {pattern.shape}s of {pattern.size * 1e3:g} mm"
-        tiles.append((name, text, np.asarray(tile)))
-    sheet(tiles, (200, 200)).save(path)
+        tiles.append(Tile(np.asarray(tile), (name, text)))
+    tile_sheet(tiles, (200, 200)).save(path)
 
 
 # Sensors: colours of markers, of what is between them, and of markers before the press.
@@ -344,10 +333,10 @@ def sensors(path: Path) -> None:
         text = f"{each.body.modulus / 1e3:g} kPa, {1e3 * depth:g} mm, {-result.force[-1, 2]:.2f} N"
         for index in np.unique(np.linspace(0, len(masks) - 1, 4).round().astype(int)).tolist():
             title = f"{name}: {reader.patterns[index]}"
-            tiles.append((title, text, outlined(masks[index], undeformed[index])))
+            tiles.append(Tile(outlined(masks[index], undeformed[index]), (title, text)))
         print(f"drawn: {name}", file=sys.stderr)
     # A palette makes the file three times smaller without a visible difference.
-    page = sheet(tiles, (400, 300), 4).quantize(256, dither=Image.Dither.NONE)
+    page = tile_sheet(tiles, (400, 300), 4).quantize(256, dither=Image.Dither.NONE)
     page.save(path, "PNG", optimize=True)
 
 

@@ -1,6 +1,6 @@
-"""Line plots of the contact sheet and of presses, and the look of image sheets, by Pillow.
+"""Line plots of the contact sheet and of presses, and sheets of captioned pictures, by Pillow.
 
-Both plots are drawn on the rig's computer after a recording, without matplotlib: it would add
+They are drawn on the rig's computer after a recording, without matplotlib: it would add
 57 MB to the extra `rig`. All other charts are drawn by `recorder.charts`.
 """
 
@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from recorder.charts import INK, SOFT
+
 Floats = NDArray[np.float64]
 Color = tuple[int, int, int]
 Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
 
-INK: Color = (38, 42, 51)
-SOFT: Color = (120, 127, 140)
 _GRID: Color = (228, 231, 236)
 PAPER: Color = (255, 255, 255)
 PANEL: Color = (247, 248, 250)
@@ -32,12 +32,61 @@ class Curve:
     """Name in the legend; left out of it if empty."""
     values: Floats
     """Values (n,); NaN leaves a gap."""
-    color: Color
+    color: str
+    """Colour, such as `recorder.charts.BLUE`."""
+
+
+# Space around a picture, height of the captions below and of the title above [px].
+_GAP, _CAPTION, _HEAD = 12, 42, 36
+_ALARM: Color = (220, 60, 50)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tile:
+    """One picture of a sheet."""
+
+    pixels: NDArray[np.uint8]
+    """(h, w, 3), RGB; of any size."""
+    captions: tuple[str, str]
+    """Two lines below it."""
+    alarm: bool = False
+    """True for a red frame."""
 
 
 def font(size: int) -> Font:
     """Return the font used in all pictures; `size` in pixels."""
     return ImageFont.load_default(size)
+
+
+def sheet(
+    rows: Sequence[tuple[str, str, Sequence[Tile]]], columns: int, size: tuple[int, int]
+) -> Image.Image:
+    """Return rows of title, note and pictures; a row without a title follows the one above.
+
+    Args:
+        rows: The rows.
+        columns: Pictures in a row, at most.
+        size: Width and height of a picture [px].
+    """
+    heights = [_HEAD * bool(title) + size[1] + _CAPTION + _GAP for title, _, _ in rows]
+    page = Image.new("RGB", (_GAP + columns * (size[0] + _GAP), _GAP + sum(heights)), PAPER)
+    pen = ImageDraw.Draw(page)
+    top = _GAP
+    for (title, note, tiles), height in zip(rows, heights, strict=True):
+        pen.text((_GAP, top + 4), title, INK, font(18))
+        pen.text((_GAP + 20 + pen.textlength(title, font(18)), top + 7), note, SOFT, font(14))
+        under = top + height - _CAPTION - _GAP
+        for column, tile in enumerate(tiles):
+            left = _GAP + column * (size[0] + _GAP)
+            picture = Image.fromarray(tile.pixels).resize(size, Image.Resampling.LANCZOS)
+            page.paste(picture, (left, under - size[1]))
+            if tile.alarm:
+                box = (left, under - size[1], left + size[0] - 1, under - 1)
+                pen.rectangle(box, outline=_ALARM, width=3)
+            pen.text((left, under + 4), tile.captions[0], _ALARM if tile.alarm else INK, font(14))
+            pen.text((left, under + 22), tile.captions[1], SOFT, font(13))
+        top += height
+    return page
 
 
 def line_plot(

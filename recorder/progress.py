@@ -60,6 +60,8 @@ class Progress:
         self._said = -math.inf
         self._share = 0.0
         self._origin: tuple[float, float] | None = None
+        # Time of the newest fraction: between two of them nothing is known of the rest.
+        self._at = -math.inf
         self._count_down = CountDown()
         self._bar: Bar | None = None
         self._lock = threading.Lock()
@@ -72,6 +74,7 @@ class Progress:
         """Store the fraction done, 0 to 1; a smaller fraction than before restarts the estimate."""
         if self._origin is None or fraction < self._share:
             self._origin, self._count_down = (self._clock(), fraction), CountDown()
+        self._at = self._clock()
         self._share = fraction
         if self._thread is None:
             self.look()
@@ -118,7 +121,7 @@ class Progress:
 
     def _left(self) -> str:
         since, before = self._origin or (0.0, 0.0)
-        passed, done = self._clock() - since, self._share - before
+        passed, done = self._at - since, self._share - before
         if done < ESTIMATE_FROM or self._share >= 1 or passed <= 0:
             return ""
         return self._shown((1 - self._share) / done * passed)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
-from recorder.charts import BAND, BLUE, chart
+from recorder.charts import BAND, BLUE, FORCES, chart
 from sim.arrays import Array
 from sim.result import Result
 
@@ -134,10 +134,10 @@ def _draw_section(axes: Axes, result: Result, frame: int) -> None:
 def _draw_force(axes: Axes, result: Result) -> None:
     x, label = abscissa(result)
     force = result.force
-    axes.plot(x, -force[:, 2], label="normal")
+    axes.plot(x, -force[:, 2], "o-", color=FORCES[2], label="normal")
     shear = np.hypot(force[:, 0], force[:, 1])
     if shear.max() > 0.01 * np.abs(force).max():
-        axes.plot(x, force[:, :2] @ _direction(result), label="shear")
+        axes.plot(x, force[:, :2] @ _direction(result), "o-", color=FORCES[0], label="shear")
         axes.legend()
     axes.set(title="force on the indenter", xlabel=label, ylabel="force [N]")
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learning.evaluation.predictions import AXES_NAMED, ForceRow, Predictions, variant_name
-from recorder.charts import BAND, INK, chart
+from recorder.charts import BAND, FORCES, INK, chart
 from recorder.natural_order import natural_key
 
 Floats = NDArray[np.float64]
@@ -31,7 +31,8 @@ def radar(before: Sequence[ForceRow], after: Sequence[ForceRow], names: tuple[st
                 for axis in axes_shown:
                     values = np.array([row.errors.mae[axis] for row in rows])
                     values = np.append(values, values[:1])
-                    axes.plot(closed, values, label=AXES_NAMED[axis], marker=".")
+                    color = (*FORCES, INK)[axis]
+                    axes.plot(closed, values, label=AXES_NAMED[axis], marker=".", color=color)
                 pairs = [f"{row.source}\nto {row.target}" for row in rows]
                 axes.set_xticks(angles, pairs, fontsize=6)
                 axes.tick_params(axis="x", pad=8)

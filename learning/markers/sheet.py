@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.contact_sheet import Tile, marker_picture, write_sheet
+from learning.contact_sheet import marker_picture, write_sheet
 from learning.errors import LearningError
 from learning.markers.frames import FLAG
 from learning.markers.recording import Recording
@@ -23,6 +23,7 @@ from learning.markers.segment import (
 from recorder import MarkerArchive
 from recorder.archive import MASKS, ArchivedSensor
 from recorder.markers import SMALLEST_PX, count_markers, unpack
+from recorder.plot import Tile
 from recorder.spec import PHASES
 
 # Maximum number of frames of a session next to its reference, and of flagged ones among them.

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from learning.contact_sheet import Tile, marker_picture, write_sheet
+from learning.contact_sheet import marker_picture, write_sheet
 from learning.data.splits import Role, Split
 from learning.errors import LearningError
 from learning.translation.translator import SensorView, Translator, for_pair
@@ -33,6 +33,7 @@ from recorder.archive import (
     location_pairs,
 )
 from recorder.markers import PACKED, pack, unpack
+from recorder.plot import Tile
 from recorder.spec import PHASES
 
 Rows = NDArray[np.int64]

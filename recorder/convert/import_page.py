@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from recorder.charts import BLUE, RED
 from recorder.convert.import_session import Draft
 from recorder.pages import render
 from recorder.plot import Curve, line_plot
 from recorder.session.align import NS
 
 _SIZE = (900, 240)
-_LINE, _PRESSED = (62, 118, 196), (196, 78, 62)
 # Most recordings that are drawn; the rest is listed.
 _DRAWN = 30
 
@@ -66,8 +66,8 @@ def _plot(draft: Draft) -> str:
     for press in draft.presses:
         touched |= (trace.t_ns >= press.start_ns) & (trace.t_ns < press.end_ns)
     curves = [
-        Curve("all", trace.value, _LINE),
-        Curve("presses", np.where(touched, trace.value, np.nan), _PRESSED),
+        Curve("all", trace.value, BLUE),
+        Curve("presses", np.where(touched, trace.value, np.nan), RED),
     ]
     marks = np.array([NS * press.peak_ns for press in draft.presses[:40]], np.float64)
     return _png(line_plot(_SIZE, t_s, curves, title=trace.name, marks=marks, x_label="s"))

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.charts import BLUE, RED
 from recorder.errors import SessionError
 from recorder.plot import Curve, line_plot
 from recorder.session import align
@@ -16,7 +17,6 @@ from recorder.spec import PHASES
 Floats = NDArray[np.float64]
 
 _SIZE = (960, 640)
-_LOADING, _UNLOADING = (196, 78, 62), (62, 118, 196)
 _STEPS = 121
 
 
@@ -98,8 +98,8 @@ def save_curves(curves: PressCurves, path: Path, title: str) -> None:
     lines = []
     for row in range(len(curves.target)):
         names = ("loading", "unloading") if row == 0 else ("", "")
-        lines.append(Curve(names[0], curves.loading[row], _LOADING))
-        lines.append(Curve(names[1], curves.unloading[row], _UNLOADING))
+        lines.append(Curve(names[0], curves.loading[row], RED))
+        lines.append(Curve(names[1], curves.unloading[row], BLUE))
     picture = line_plot(
         _SIZE, 1e3 * curves.depth, lines, title=f"{title}: compression [N]", x_label="depth [mm]"
     )

@@ -8,19 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from recorder.charts import FORCES, PURPLE
 from recorder.errors import SessionError
-from recorder.plot import INK, PAPER, SOFT, Curve, font, line_plot
+from recorder.plot import PAPER, Curve, Tile, line_plot, sheet
 from recorder.session.align import NS
 from recorder.session.reader import Session
 from recorder.spec import PHASES
 
 _COLUMNS = 6
 _THUMB = (248, 186)
-_SPACE = 16
-_CAPTION = 44
-_HEAD = 84
-_FORCE_COLORS = ((220, 92, 84), (72, 160, 110), (66, 106, 196))
-_DEPTH_COLOR = (132, 92, 172)
 _SMOOTH = 3  # supersampling factor, since Pillow does not anti-alias discs
 
 
@@ -49,40 +45,37 @@ def contact_sheet(
     chosen = candidates[
         np.linspace(0, candidates.size - 1, min(count, candidates.size)).astype(int)
     ]
-    pictures = thumbnails(session, chosen)
-    rows = -(-len(chosen) // _COLUMNS)
-    width = _SPACE + _COLUMNS * (_THUMB[0] + _SPACE)
-    grid_height = rows * (_THUMB[1] + _CAPTION + _SPACE)
-    sheet = Image.new("RGB", (width, _HEAD + grid_height + 240 + 220 + _SPACE), PAPER)
-    draw = ImageDraw.Draw(sheet)
-    _head(draw, session, width)
-    for cell, (frame, picture) in enumerate(zip(chosen, pictures, strict=True)):
-        x = _SPACE + cell % _COLUMNS * (_THUMB[0] + _SPACE)
-        y = _HEAD + cell // _COLUMNS * (_THUMB[1] + _CAPTION + _SPACE)
-        sheet.paste(picture, (x, y))
-        _caption(draw, (x, y), cell + 1, session, int(frame))
+    tiles = [
+        Tile(np.asarray(picture), _captions(number, session, int(frame)))
+        for number, (frame, picture) in enumerate(
+            zip(chosen, thumbnails(session, chosen), strict=True), 1
+        )
+    ]
+    rows = [("", "", tiles[first : first + _COLUMNS]) for first in range(0, len(tiles), _COLUMNS)]
+    rows[0] = (session.path.name, _properties(session), rows[0][2])
+    page = sheet(rows, _COLUMNS, _THUMB)
+    width, top = page.size
     seconds = _recorded_seconds(session)
-    top = _HEAD + grid_height
     wrench = frames["wrench"]
     forces = [
         Curve(name, np.asarray(wrench[:, axis], np.float64), color)
-        for axis, (name, color) in enumerate(zip(("Fx", "Fy", "Fz"), _FORCE_COLORS, strict=True))
+        for axis, (name, color) in enumerate(zip(("Fx", "Fy", "Fz"), FORCES, strict=True))
     ]
-    depth = [Curve("depth", np.asarray(frames["depth"] * 1e3, np.float64), _DEPTH_COLOR)]
+    depth = [Curve("depth", np.asarray(frames["depth"] * 1e3, np.float64), PURPLE)]
     marks = seconds[chosen]
-    plot_width = width - _SPACE
-    force = line_plot((plot_width, 240), seconds, forces, title="force [N]", marks=marks)
+    force = line_plot((width, 240), seconds, forces, title="force [N]", marks=marks)
     press = line_plot(
-        (plot_width, 220),
+        (width, 220),
         seconds,
         depth,
         title="depth [mm]",
         marks=marks,
         x_label="recorded time, pauses between phases left out [s]",
     )
-    sheet.paste(force, (0, top))
-    sheet.paste(press, (0, top + 240))
-    sheet.save(png_path, "PNG")
+    whole = Image.new("RGB", (width, top + force.height + press.height), PAPER)
+    for picture, above in ((page, 0), (force, top), (press, top + force.height)):
+        whole.paste(picture, (0, above))
+    whole.save(png_path, "PNG")
 
 
 def thumbnails(session: Session, chosen: NDArray[np.intp]) -> list[Image.Image]:
@@ -180,44 +173,29 @@ def _fitted(pixels: NDArray[np.uint8], within: tuple[int, int]) -> Image.Image:
     return thumb
 
 
-def _head(draw: ImageDraw.ImageDraw, session: Session, width: int) -> None:
-    draw.text((_SPACE, 18), session.path.name, fill=INK, font=font(26))
-    attrs = session.attrs
-    reported = [str(attrs[key]) for key in ("sensor", "indenter", "operator") if key in attrs]
+def _properties(session: Session) -> str:
+    attrs, frames = session.attrs, session.frames
+    reported = [session.status]
+    reported += [str(attrs[key]) for key in ("sensor", "indenter", "operator") if key in attrs]
     if attrs.get("mock"):
         reported.append("mock")
-    frames = session.frames
     reported.append(f"{len(frames['t_ns'])} frames at {session.rate_hz:g} Hz")
     targets = np.unique(frames["target"])
     reported.append(f"{int((targets >= 0).sum())} targets")
     reported.append(f"{100 * float(np.mean(frames['valid'])):.1f} % valid")
-    draw.text((_SPACE, 52), "   ·   ".join(reported), fill=SOFT, font=font(15))
-    text = session.status
-    color = {"complete": (72, 160, 110), "recording": (220, 92, 84)}.get(text, (214, 150, 60))
-    left = width - _SPACE - draw.textlength(text, font(16)) - 28
-    draw.rounded_rectangle((left, 20, width - _SPACE, 48), 14, fill=color)
-    draw.text(((left + width - _SPACE) / 2, 34), text, fill=PAPER, font=font(16), anchor="mm")
+    return "   ·   ".join(reported)
 
 
-def _caption(
-    draw: ImageDraw.ImageDraw, corner: tuple[int, int], number: int, session: Session, frame: int
-) -> None:
+def _captions(number: int, session: Session, frame: int) -> tuple[str, str]:
     frames = session.frames
-    x, y = corner
-    draw.rounded_rectangle((x + 6, y + 6, x + 34, y + 26), 10, fill=PAPER)
-    draw.text((x + 20, y + 16), str(number), fill=INK, font=font(13), anchor="mm")
-    below = y + _THUMB[1]
     target, code = int(frames["target"][frame]), int(frames["phase"][frame])
     phase = PHASES[code].replace("_", " ") if code >= 0 else ""
     seconds = (int(frames["t_ns"][frame]) - int(frames["t_ns"][0])) * NS
     title = f"target {target + 1}" if target >= 0 else f"{seconds:.2f} s"
-    draw.text((x, below + 6), title, fill=INK, font=font(15))
-    draw.text((x + _THUMB[0], below + 6), phase, fill=SOFT, font=font(15), anchor="ra")
     depth, force = float(frames["depth"][frame]) * 1e3, float(frames["wrench"][frame][2])
-    left = f"{depth:.2f} mm" if np.isfinite(depth) else "depth unknown"
-    right = f"Fz {force:+.2f} N" if np.isfinite(force) else "no force"
-    draw.text((x, below + 25), left, fill=SOFT, font=font(14))
-    draw.text((x + _THUMB[0], below + 25), right, fill=SOFT, font=font(14), anchor="ra")
+    pressed = f"{depth:.2f} mm" if np.isfinite(depth) else "depth unknown"
+    read = f"Fz {force:+.2f} N" if np.isfinite(force) else "no force"
+    return f"{title}   {phase}   [{number}]", f"{pressed}   {read}"
 
 
 def _recorded_seconds(session: Session) -> NDArray[np.float64]:

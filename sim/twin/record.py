@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from recorder.charts import BAND, BLUE, INK, ORANGE, RED, SOFT, chart
+from recorder.charts import BAND, FORCES, INK, RED, SOFT, chart
 from recorder.settings import yaml_text
 from sim.arrays import Array
 from sim.markers import HEIGHT, WIDTH, Pattern
@@ -314,7 +314,7 @@ def draw(
             used = track.contact
             order = np.arange(int(used.sum()))
             force, read = track.force[used], reading[used]
-            for axis, colour in zip((0, 1, 2), (ORANGE, RED, BLUE), strict=True):
+            for axis, colour in enumerate(FORCES):
                 left.plot(order, force[:, axis], ".", color=colour, markersize=3)
                 left.plot(order, read[:, axis], "-", color=colour, label=f"F{'xyz'[axis]}")
             left.set_title(

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 from support.commands import python
 
-from recorder.charts import BLUE, chart
+from recorder.charts import BLUE, FORCES, FORCES_ON_DARK, chart
 
 
 def drawn(file: Path | io.BytesIO) -> None:
@@ -28,6 +28,13 @@ def test_a_chart_has_the_style_and_the_size_that_were_asked_for() -> None:
         colours = {colour for _, colour in picture.convert("RGB").getcolors(1 << 20) or ()}
     assert tuple(bytes.fromhex(BLUE[1:])) in colours
     assert (255, 255, 255) in colours
+
+
+def test_pages_and_charts_share_the_colours_of_forces() -> None:
+    style = (Path(__file__).parents[2] / "rig/monitor/static/page.css").read_text()
+    for colours in (FORCES, FORCES_ON_DARK):
+        names = (f"--f{axis}: {colour};" for axis, colour in zip("xyz", colours, strict=True))
+        assert " ".join(names) in style
 
 
 def test_settings_of_the_user_neither_change_a_chart_nor_are_changed(
