@@ -61,7 +61,7 @@ VENDORS = {
 LAZY = {
     "rig/bench/expected.py": {"sim"},
     "rig/bench/indenter.py": {"sim"},
-    "rig/mock/world/simulated.py": {"sim"},
+    "rig/mock/world/sensors.py": {"sim"},
     "rig/monitor/predictor.py": {"learning"},
 }
 MODULES = sorted(

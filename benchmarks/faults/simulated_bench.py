@@ -8,7 +8,6 @@ command passes through a pipe.
 
 from __future__ import annotations
 
-import dataclasses
 import heapq
 import math
 from collections.abc import Callable, Iterable, Iterator
@@ -26,7 +25,7 @@ from rig.acquire.stream_process import COUNTERS, StreamJob, _StreamLoop
 from rig.acquire.streams import StreamHandle, Streams, check_clear
 from rig.bench.bench import Bench
 from rig.bench.guards import guard_limits, guards_of
-from rig.bench.worlds import AnalyticSpec
+from rig.bench.worlds import Noise, WorldSpec
 from rig.core.clock import SECOND_NS, FakeClock
 from rig.core.geometry import compose, matrix_from_vector
 from rig.core.samples import SIGNAL_LATEST
@@ -35,8 +34,9 @@ from rig.devices.arm.arm import Arm
 from rig.devices.arm.emulated_arm import CYCLE, Robot, Wrist
 from rig.devices.arm.messages import Command, Order, Reply
 from rig.devices.arm.mover import Mover, Watch
-from rig.mock.world.analytic import AnalyticWorld, surface_of
-from rig.mock.world.picture import MarkerCamera
+from rig.mock.world.ladder import LadderSurface, LadderWorld
+from rig.mock.world.picture import MarkerPicture
+from rig.mock.world.sensors import markers_of, pad_of
 from trajectories import Plan, Target
 
 _CYCLE_NS = round(CYCLE * SECOND_NS)
@@ -60,7 +60,8 @@ class Truth:
     is silent. `wrist` is the arm's wrench, None for an arm without one.
     """
 
-    world: AnalyticSpec
+    world: WorldSpec
+    indenter: str = "cylinder"
     surface: float = 0.0
     tilt: tuple[float, float] = (0.0, 0.0)
     longer: float = 0.0
@@ -83,16 +84,14 @@ class SimulatedBench(FakeClock):
         self.robot = Robot(start, np.array(bench.arm.tcp))
         place = (0.0, 0.0, truth.surface, *truth.tilt, 0.0)
         frame = compose(bench.contact_frame, place)
-        # Counts are computed when they are sampled, the force at every step.
-        stepped = dataclasses.replace(truth.world, taxels=None)
-        self._world = AnalyticWorld(stepped, tuple(frame.tolist()))
+        self._world = LadderWorld(truth.world, truth.indenter, tuple(frame.tolist()))
         # The tool never turns, so the tip's true place differs by one constant.
         self._longer = np.zeros(6)
         self._longer[:3] = matrix_from_vector(start[3:])[:, 2] * truth.longer
         # Everything that can be touched lies below the plane through the true apex.
         self._origin, self._normal = frame[:3], matrix_from_vector(frame[3:])[:, 2]
         self._state: np.void | None = None
-        self._picture = _Picture(truth.world, np.random.default_rng(truth.seed))
+        self._picture = _Picture(bench, truth, np.random.default_rng(truth.seed))
         self._movement: Iterator[None] | None = None
         self._operation, self.largest = 0, 0.0
         self.streams: dict[str, _Stream] = {}
@@ -189,26 +188,32 @@ class SimulatedBench(FakeClock):
 class _Picture:
     """Readings of the sensor as `SignalLevel` takes them: counts, or a reduced grey image."""
 
-    def __init__(self, world: AnalyticSpec, rng: np.random.Generator) -> None:
-        self._world, self._rng = world, rng
-        self._camera = None if world.markers is None else MarkerCamera(world.markers)
+    def __init__(self, bench: Bench, truth: Truth, rng: np.random.Generator) -> None:
+        world, self._rng = truth.world, rng
+        self._noise = (world.noise or Noise()).counts
+        self._taxels = bench.taxels is not None
+        if self._taxels:
+            points, counts = pad_of(world)
+            self._read: Callable[[np.ndarray], np.ndarray] = counts
+        else:
+            markers = markers_of(world)
+            picture = MarkerPicture(background=world.background, ink=world.ink)
+            points = markers.points
+            self._read = lambda moved: grey(picture.image(markers.outlines(moved)))
+        self._surface = LadderSurface(world, truth.indenter, points)
         self._rest: np.ndarray | None = None
         self._noises = rng.normal(0.0, _REDUCED_NOISE, (120 + 64, 160 + 64))
 
     def taken(self, state: np.void) -> np.ndarray:
         """Return the reading of a WORLD_STATE."""
-        if self._camera is None:
-            taxels = self._world.taxels
-            assert taxels is not None
-            spread = self._world.noise.counts if self._world.noise else 0.0
-            noise = self._rng.normal(0.0, spread, (16, 3))
-            moved = surface_of(self._world, state).displacement(taxels.positions())
-            return np.asarray(np.rint(taxels.counts(moved) + noise), np.float32)
         image = self._rest
         if image is None or state["depth"] > 0:
-            image = grey(self._camera.image(surface_of(self._world, state)))
+            image = self._read(self._surface(state))
         if state["depth"] <= 0:
             self._rest = image
+        if self._taxels:
+            noise = self._rng.normal(0.0, self._noise, image.shape)
+            return np.asarray(np.rint(image + noise), np.float32)
         top, left = self._rng.integers(0, 64, 2)
         noise = self._noises[top : top + image.shape[0], left : left + image.shape[1]]
         return np.asarray(np.rint(image + noise), np.float32)

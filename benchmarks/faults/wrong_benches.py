@@ -27,7 +27,7 @@ from rig.acquire.collector import CollectRequest
 from rig.acquire.no_gauge import find_surface, press_in_steps
 from rig.bench.bench import Bench, BenchFile, bench_from
 from rig.bench.guards import slowed, without_gauge
-from rig.bench.worlds import AnalyticSpec, Punch, Sphere
+from rig.bench.indenter import paper_indenters
 from rig.core.config import read_yaml
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop
 from rig.core.packaged import BENCHES
@@ -123,7 +123,7 @@ def _collect(file: BenchFile, stages: Stages) -> None:
 def wrong(bench: Bench, fault: str, rng: np.random.Generator, seed: int, *, wrist: bool) -> Truth:
     """Return how a bench is whose file is wrong by one of FAULTS; `seed` is of noise and wrist."""
     world = bench.world
-    assert isinstance(world, AnalyticSpec)
+    assert world is not None
     faults = [fault]
     if fault == "several":
         faults = rng.choice(FAULTS[:-1], 3, replace=False).tolist()
@@ -143,9 +143,7 @@ def wrong(bench: Bench, fault: str, rng: np.random.Generator, seed: int, *, wris
     if "payload" in faults:
         payload = float(rng.uniform(-1.0, 1.0))
     if "indenter" in faults:
-        radius = MM * rng.uniform(1.0, 5.0)
-        shape = Punch(radius) if rng.random() < 0.5 else Sphere(radius)
-        world = replace(world, indenter=shape)
+        changes["indenter"] = str(rng.choice(sorted(paper_indenters())))
     wrench = Wrist(seed, payload) if wrist else None
     return Truth(world, seed=seed, wrist=wrench, **changes)
 
@@ -180,8 +178,8 @@ Each bench finds its surface, presses in steps and presses targets spread over i
 reach the guards late: images {1e3 * CAMERA_DELAY:.0f} ms, taxels {1e3 * TAXELS_DELAY:.0f} ms, the
 wrench {1e3 * WRENCH_DELAY:.0f} ms, this with a gain that is wrong by up to 30 %, a bias and a
 drift. Faults: the surface is off by -2 to +1 mm, the indenter 5 mm longer, the sensor tilted by up
-to 8 degrees, its signal frozen or silent, the payload wrong, the indenter a punch or sphere of 1 to
-5 mm; `several` are three at once.
+to 8 degrees, its signal frozen or silent, the payload wrong, another one of the
+paper's indenters; `several` are three at once.
 
 {page.link("force", "Largest true force, by fault")}
 

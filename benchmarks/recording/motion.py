@@ -1,8 +1,8 @@
 """A motion with known ground truth, and a session as instruments would have recorded it.
 
-Presses at 1.5 Hz up to 10 N with shear and a tilting tool, applied to the `AnalyticWorld`: the test
-case for labels that have to match their image. Arrival times are those of real instruments, with
-a small, varying delay.
+Presses at 1.5 Hz up to 10 N with shear and a tilting tool, applied to a World of the mock bench:
+the test case for labels that have to match their image. Arrival times are those of real
+instruments, with a small, varying delay.
 """
 
 from dataclasses import dataclass
@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from benchmarks.recording.frames import HEIGHT, WIDTH, GelFrames
 from recorder import SessionWriter, StreamWriter, camera_spec, force_spec, pose_spec
-from rig.bench.worlds import AnalyticSpec, Hysteresis, Layer, MarkerView, Punch
+from rig.bench.worlds import WorldSpec
 from rig.core.clock import SECOND_NS
 from rig.core.geometry import turn
 from rig.core.samples import WORLD_STATE
-from rig.mock.world.analytic import AnalyticWorld, surface_of
-from rig.mock.world.picture import MarkerCamera
+from rig.mock.world.ladder import LadderSurface, LadderWorld
+from rig.mock.world.sensors import ladder_of, markers_of
 
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -46,15 +46,8 @@ _POSE_NOISE, _TURN_NOISE = 2e-6, 2e-5
 # Streams begin before and end after the ticks by this time [s].
 _LEAD = 0.5
 _ORIGIN_NS = 1_000 * SECOND_NS
-# A GelSight-like sensor under a flat punch, with friction and hysteresis.
-_MARKERS = MarkerView(layout="grid", pitch=1.5e-3, radius=0.25e-3, pixel=0.025e-3)
-_WORLD = AnalyticSpec(
-    layer=Layer(modulus=150e3, poisson=0.48, thickness=4e-3),
-    indenter=Punch(radius=3e-3),
-    markers=_MARKERS,
-    friction=0.8,
-    hysteresis=Hysteresis(fraction=0.2, relaxation=0.6),
-)
+# The hardest skin of the paper's material test under an indenter that presses up to the peak.
+_WORLD, _INDENTER = WorldSpec(sensor="r6"), "wave"
 
 
 class Motion:
@@ -65,9 +58,9 @@ class Motion:
     """
 
     def __init__(self, seconds: float) -> None:
-        assumed = _WORLD.indenter.force(_WORLD.layer, 1e-3) / 1e-3
-        self._depth = PEAK / (assumed * (1.0 + 0.2))
-        world = AnalyticWorld(_WORLD, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        # Relaxation adds a fifth to the static force.
+        self._depth = ladder_of(_WORLD, _INDENTER).deepest(PEAK / 1.2)
+        world = LadderWorld(_WORLD, _INDENTER, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
         count = round(seconds / _STEP) + 1
         self._t: Floats = np.arange(count, dtype=np.float64) * _STEP
         self._states = np.zeros(count, WORLD_STATE)
@@ -77,7 +70,6 @@ class Motion:
         self._wrench: Floats = self._states["wrench"]
         means = 0.5 * (self._wrench[1:] + self._wrench[:-1])
         self._summed: Floats = np.concatenate([np.zeros((1, 6)), np.cumsum(means * _STEP, axis=0)])
-        self._camera = MarkerCamera(_MARKERS)
 
     def position(self, t: Floats) -> Floats:
         """Return the tip (n, 3) at times (n,) [s] in the contact frame [m]."""
@@ -105,9 +97,10 @@ class Motion:
     def pixels(self, t: Floats) -> Floats:
         """Return marker centres (n, m, 2) at times (n,) [px], from the World's nearest step."""
         rows = np.clip(np.round(t / _STEP).astype(np.int64), 0, len(self._t) - 1)
-        return np.stack(
-            [self._camera.pixels(surface_of(_WORLD, self._states[row])) for row in rows]
-        )
+        markers = markers_of(_WORLD)
+        surface = LadderSurface(_WORLD, _INDENTER, markers.points)
+        rims = [markers.outlines(surface(self._states[row])) for row in rows]
+        return np.stack([rim.mean(axis=1) for rim in rims])
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,7 @@ trajectory:
   depth_step_mm: STEP
   depth_max_mm: 1.2
   angle_step_deg: 180.0
-simulated: {sensor: SKIN, behind_ms: 2000, rate_hz: 40, grid: 64}
+world: {sensor: SKIN, solver: {behind_ms: 2000, rate_hz: 40, grid: 64}}
 preflight: {timeout: 20}
 limits: {stale_force_ms: 1500, stale_pose_ms: 1500}
 """

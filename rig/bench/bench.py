@@ -31,7 +31,7 @@ from recorder.spec import (
 )
 from rig.bench.expected import ExpectedForce, Skin, expected_force
 from rig.bench.indenter import find_indenter, paper_indenters
-from rig.bench.worlds import AnalyticSpec, SimulatedSpec
+from rig.bench.worlds import WorldSpec
 from rig.core.clock import Clock
 from rig.core.config import READER as PLAIN_READER
 from rig.core.config import from_si, read_yaml
@@ -343,10 +343,8 @@ class Bench:
     """SpaceMouse for moving the arm by hand; only for `tactile jog`."""
     force_depth: ForceDepth | None = None
     """The press that `force-depth` records; None if the sensor has none."""
-    world: AnalyticSpec | SimulatedSpec | None = None
+    world: WorldSpec | None = None
     """Sensor and contact of a mock bench; None on a lab bench."""
-    simulated: SimulatedSpec | None = None
-    """Replaces `world` with `--world sim`."""
     world_frame: tuple[float, ...] | None = field(
         default=None, metadata={"pose": True, "plausible": REACH_MM}
     )
@@ -452,12 +450,17 @@ class Bench:
     @property
     def expected(self) -> ExpectedForce:
         """Force of the indenter on the arm, by depth."""
-        if self.skin is None:
+        skin = self.skin
+        if self.world is not None:
+            skin = (
+                Skin(self.world.sensor) if skin is None else replace(skin, sensor=self.world.sensor)
+            )
+        if skin is None:
             raise ConfigError(
                 f"{self.sensor}.skin: missing; allowed: sensor, a row of the simulator or a YAML "
                 "file like one, and modulus_kpa, the lowest and the highest"
             )
-        return expected_force(self.skin, self.indenter, exact=self.mock)
+        return expected_force(skin, self.indenter, exact=self.mock)
 
     def dry_run(self, plan: Plan) -> DryRun:
         """Return a dry run of a plan with the arm's speed, against the limits of the bench."""
@@ -573,13 +576,10 @@ def find_bench(sensor: str, folder: Path = BENCHES_FOLDER, where: str = "--senso
 
 
 def with_simulated_world(content: dict[str, Any], where: str) -> dict[str, Any]:
-    """Return `content` with `world` replaced by its `simulated`."""
-    if not content.get("mock") or not isinstance(content.get("simulated"), dict):
-        raise ConfigError(
-            f"{where}.simulated: missing, or on a lab bench; allowed with --world sim: a mock "
-            "bench with a simulated sensor"
-        )
-    return {**content, "world": {"kind": SimulatedSpec.KIND, **content["simulated"]}}
+    """Return `content` with a `world` that is solved along the arm's path."""
+    if not isinstance(content.get("world"), dict):
+        raise ConfigError(f"{where}.world: missing; allowed with --world sim: a mock bench")
+    return {**content, "world": {**content["world"], "tier": "layer"}}
 
 
 def bench_from(content: dict[str, Any], where: str) -> Bench:
@@ -617,10 +617,10 @@ class BenchFile:
         """Return the file with an indenter on the arm; an empty name: the file's own."""
         indenter = find_indenter(name or self.bench.indenter)
         own = indenter.source is not None
-        if own and indenter.stl is None and isinstance(self.bench.world, SimulatedSpec):
+        if own and indenter.stl is None and self.bench.mock:
             raise ConfigError(
-                f"{indenter.source}.stl: missing; allowed with a simulated world: an STL file, or "
-                f"one of the paper's indenters: {', '.join(paper_indenters())}"
+                f"{indenter.source}.stl: missing; allowed on a mock bench: an STL file, or one of "
+                f"the paper's indenters: {', '.join(paper_indenters())}"
             )
         content = {**self.content, "indenter": indenter.name}
         return BenchFile(self.path, content, replace(self.bench, indenter=indenter.name))

@@ -29,7 +29,7 @@ from rig.bench.bench import (
 )
 from rig.bench.guards import without_gauge
 from rig.bench.indenter import find_indenter
-from rig.bench.worlds import SimulatedSpec, Sources
+from rig.bench.worlds import Sources
 from rig.core.config import from_si
 from rig.core.errors import ConfigError
 from rig.monitor.access import LOOPBACK_HOST, AccessPolicy, is_loopback
@@ -163,7 +163,7 @@ def bench_file(
     """
     content = read_content(path)
     began = {} if resume is None else Session(resume).attrs["bench"]
-    if world is not None or (began.get("world") or {}).get("kind") == SimulatedSpec.KIND:
+    if world is not None or (began.get("world") or {}).get("tier") == "layer":
         content = with_simulated_world(content, str(path))
     if force is not None or (began.get("force") == NO_GAUGE and content.get("mock")):
         content = without_gauge(content, str(path))

@@ -36,7 +36,7 @@ ARM_TRUTH = np.dtype([("t_ns", "<i8"), ("pose", "<f8", (6,)), ("speed", "<f8", (
 
 # Timestamped state of the World: TCP pose in the base frame [m, rad], indentation [m] (negative
 # above the surface), contact position and tangential surface displacement in the contact frame [m],
-# wrench on the sensor in the F/T frame [N, N m], taxels before noise [counts].
+# wrench on the sensor in the F/T frame [N, N m].
 WORLD_STATE = np.dtype(
     [
         ("t_ns", "<i8"),
@@ -45,25 +45,29 @@ WORLD_STATE = np.dtype(
         ("contact", "<f8", (2,)),
         ("shear", "<f8", (2,)),
         ("wrench", "<f8", (6,)),
-        ("taxels", "<f8", (16, 3)),
     ]
 )
 
-# Last solution of a simulated World and its derivatives, for extrapolation: tip in the contact
-# frame [m], mean tangential displacement under it [m], friction coefficient, wrench about the tip
-# [N, N m] and taxels [counts], their derivatives by tip position [1/m] and by time [1/s].
-PRESS_STATE = np.dtype(
-    [
-        ("t_ns", "<i8"),
-        ("tip", "<f8", (3,)),
-        ("touching", "<i8"),
-        ("shear", "<f8", (2,)),
-        ("friction", "<f8"),
-        ("values", "<f8", (54,)),
-        ("slope", "<f8", (54, 3)),
-        ("rate", "<f8", (54,)),
-    ]
-)
+
+def press_state(count: int) -> np.dtype[np.void]:
+    """Return the dtype of a solver's last solution and its derivatives, for extrapolation.
+
+    Tip in the contact frame [m], mean tangential displacement under it [m], friction coefficient,
+    `count` values (wrench about the tip [N, N m], then taxels [counts]), their derivatives by tip
+    position [1/m] and by time [1/s].
+    """
+    return np.dtype(
+        [
+            ("t_ns", "<i8"),
+            ("tip", "<f8", (3,)),
+            ("touching", "<i8"),
+            ("shear", "<f8", (2,)),
+            ("friction", "<f8"),
+            ("values", "<f8", (count,)),
+            ("slope", "<f8", (count, 3)),
+            ("rate", "<f8", (count,)),
+        ]
+    )
 
 
 def latest_dtype(kind: str, shape: tuple[int, ...]) -> np.dtype[np.void]:

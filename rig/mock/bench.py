@@ -24,11 +24,11 @@ import numpy as np
 
 from recorder.command_line.extras import extra_of
 from rig.bench.bench import Bench, BenchFile
-from rig.bench.worlds import Noise, SimulatedSpec, Sources
+from rig.bench.worlds import Noise, Sources
 from rig.core.config import from_si
 from rig.core.errors import ConfigError, DeviceLost
-from rig.core.mock_names import ARM_FILE, PORTS, PRESS_FILE, WORLD_FILE
-from rig.core.samples import ARM_TRUTH, PRESS_STATE, WORLD_STATE
+from rig.core.mock_names import ARM_FILE, PORTS, WORLD_FILE
+from rig.core.samples import ARM_TRUTH, WORLD_STATE
 from rig.core.shared_memory import SharedLatest
 from rig.core.stream_settings import StreamSettings
 from rig.devices import registry
@@ -189,7 +189,7 @@ class MockBench(ProcessGroup):
             "fault_port": PORTS["world"],
         }
         documents: dict[str, tuple[str, dict[str, Any]]] = {"world": ("world", world)}
-        if isinstance(bench.world, SimulatedSpec):
+        if bench.world is not None and bench.world.tier == "layer":
             documents["solver"] = ("solver", world)
         played: set[str] = set()
         for process, kind, config, section, port in self._emulated():
@@ -228,28 +228,34 @@ class MockBench(ProcessGroup):
 
     def _more(self, process: str, name: str, config: Any, sources: Sources) -> dict[str, Any]:
         """Return the settings of an emulator that its device does not have."""
-        bench = self.bench
+        bench, world = self.bench, self.bench.world
+        if world is None:
+            raise RuntimeError("a mock bench without a world")
         if isinstance(config, StreamSettings):
             try:
                 config.check_mock()
             except ValueError as error:
                 raise ConfigError(f"{process.removesuffix('.device')}.{error}") from None
-        noise = (bench.world and bench.world.noise) or Noise()
+        noise, lab, view = world.noise or Noise(), world.lab, str(self._folder / "world.json")
         if name == "arm":
             start = bench.tool_pose((0.0, 0.0, _START_HEIGHT))
-            wrist = {"wrist": bool(bench.of_kind("arm_wrench"))}
-            return {"state": str(self._folder / ARM_FILE), "pose": start.tolist(), **wrist}
+            return {
+                "state": str(self._folder / ARM_FILE),
+                "pose": start.tolist(),
+                "wrist": bool(bench.of_kind("arm_wrench")),
+                "pose_jitter_mm": lab.pose_jitter_mm,
+                "flipped_rotation": lab.flipped_rotation,
+            }
         if name == "force":
             return {"noise_n": noise.force}
         if name == "camera":
             if sources.camera is not None:
                 return {"source": str(sources.camera), "motion": sources.camera_motion}
-            delay = bench.world.camera_delay if bench.world else 0.0
-            return {"view": str(self._folder / "world.json"), "delay_ms": from_si(delay, "ms")}
+            return {"view": view, "delay_ms": from_si(world.delay, "ms")}
         if name == "taxels":
             if sources.taxels is not None:
                 return {"source": str(sources.taxels)}
-            return {"noise": noise.counts}
+            return {"view": view, "noise": noise.counts, "true_rate_hz": lab.taxel_rate_hz}
         if name == "gripper":
             return {"holding": True}
         if not config.device.endswith(".hidraw"):
@@ -263,8 +269,6 @@ class MockBench(ProcessGroup):
         documents = self.documents()
         SharedLatest.create(self._folder / ARM_FILE, ARM_TRUTH).close()
         SharedLatest.create(self._folder / WORLD_FILE, WORLD_STATE).close()
-        if "solver" in documents:
-            SharedLatest.create(self._folder / PRESS_FILE, PRESS_STATE).close()
         self._launch(documents)
 
     def close(self) -> None:

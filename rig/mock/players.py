@@ -163,9 +163,16 @@ def _device(session: Session, name: str, host: str, speed: float) -> Any:
     if kind == "arm_wrench":
         return WrenchConfig(host=host, rate_hz=stated_rate(stream))
     if kind == "taxels":
-        (taxels, _) = stream.layout.columns[0].column.shape
+        (taxels, axes) = stream.layout.columns[0].column.shape
         address = f"ws://{host}:5000"
-        return XelaConfig(address, taxels=taxels, rate_hz=stated_rate(stream), silence=silence)
+        return XelaConfig(
+            address,
+            rows=1,
+            columns=taxels,
+            axes=axes,
+            rate_hz=stated_rate(stream),
+            silence=silence,
+        )
     height, width, _ = stream.layout.columns[0].column.shape
     return MjpegConfig(
         address=f"http://{host}:8090/",

@@ -48,11 +48,11 @@ class TaxelReadout:
         self._seed, self._name = seed, sensor.name
 
     def counts(self, top: SurfaceField, first: int = 0) -> Counts:
-        """Return counts (F, 16, 3) minus those of the pad without contact."""
+        """Return counts (F, n, 3) minus those of the pad without contact."""
         return self._pad.counts(self._placement.field(top), self._noise(len(top), first))
 
     def raw(self, top: SurfaceField, first: int = 0) -> Counts:
-        """Return raw counts (F, 16, 3) as the device sends them."""
+        """Return raw counts (F, n, 3) as the device sends them."""
         return self._pad.raw(self._placement.field(top), self._noise(len(top), first))
 
     def masks(self, top: SurfaceField, first: int = 0) -> Masks:
@@ -69,9 +69,10 @@ class TaxelReadout:
     def _noise(self, frames: int, first: int) -> Array | None:
         if self._seed is None:
             return None
+        shape = (len(self._pad.signal.places), 3)
         return np.stack(
             [
-                generator(self._seed, "taxels", self._name, first + frame).normal(size=(16, 3))
+                generator(self._seed, "taxels", self._name, first + frame).normal(size=shape)
                 for frame in range(frames)
             ]
         )

@@ -1,4 +1,4 @@
-"""Simulate uSkin: 4 x 4 magnets in silicone above Hall elements, with counts along three axes."""
+"""Simulate uSkin: magnets in silicone above Hall elements, with counts along three axes."""
 
 import math
 from dataclasses import dataclass, field
@@ -67,6 +67,8 @@ class Interior:
         check_range("interior", "depth", depth, 0.0, body.thickness, unit="m")
         self._samples = []
         spacing = []
+        self._axes: tuple[bytes, ...] = ()
+        self._across: list[Array] = []
         for size in (body.size_x, body.size_y):
             period = size + 2 * MARGIN * body.thickness
             count = scipy.fft.next_fast_len(math.ceil(period / STEP), real=True)
@@ -112,10 +114,16 @@ class Interior:
 
     def _waves(self, top: SurfaceField) -> Waves:
         """Return amplitudes (F, 3, kx, ky) of the top's displacement."""
-        across_x, across_y = (
-            cubic_weights(axis, samples) * fade[:, None]
-            for axis, samples, fade in zip((top.x, top.y), self._samples, self._fade, strict=True)
-        )
+        axes = (top.x.tobytes(), top.y.tobytes())
+        if axes != self._axes:
+            self._axes = axes
+            self._across = [
+                cubic_weights(axis, samples) * fade[:, None]
+                for axis, samples, fade in zip(
+                    (top.x, top.y), self._samples, self._fade, strict=True
+                )
+            ]
+        across_x, across_y = self._across
         planes = np.moveaxis(top.displacement, 3, 1).astype(float)
         return np.asarray(scipy.fft.rfft2(across_x @ planes @ across_y.T))
 
@@ -208,18 +216,17 @@ def _turned(plane: Array, across: Array, cosine: Array, sine: Array) -> Waves:
 
 Counts = NDArray[np.int32]
 
-# Taxels along each side.
-SIDE = 4
 # Largest raw count: the device reports unsigned 16-bit values.
 COUNT_MAX = 65535
 
 
 @dataclass(frozen=True, slots=True)
 class TaxelSignal:
-    """Pad of 4 x 4 magnets, each above its own Hall element.
+    """Pad of rows and columns of magnets, each above its own Hall element.
 
-    Taxel i is at column i % 4, row i // 4; columns go along x and rows along y, both ascending from
-    the corner of least x and y. At rest, a magnet's moment points along z, out of the pad.
+    Taxel i is at column i % columns, row i // columns; columns go along x and rows along y, both
+    ascending from the corner of least x and y. At rest, a magnet's moment points along z, out of
+    the pad.
 
     Raises:
         SceneError: A value is out of range.
@@ -243,8 +250,14 @@ class TaxelSignal:
     """Raw counts of an unloaded taxel along x, y, z; they determine the range to saturation."""
     noise: float = 0.0
     """Standard deviation of a count; 0 is no noise."""
+    rows: int = field(default=4, metadata={"stored": "unless default"})
+    """Taxels along y, 1 to 32."""
+    columns: int = field(default=4, metadata={"stored": "unless default"})
+    """Taxels along x, 1 to 32."""
 
     def __post_init__(self) -> None:
+        for name in ("rows", "columns"):
+            check_range("taxels", name, getattr(self, name), 1, 32)
         for name, unit, low, high in (
             ("pitch", "m", 1e-4, 0.1),
             ("magnet_depth", "m", 0.0, 0.1),
@@ -262,10 +275,10 @@ class TaxelSignal:
 
     @property
     def places(self) -> Array:
-        """Positions of the taxels (16, 2) [m]."""
-        number = np.arange(SIDE * SIDE)
-        steps = np.stack([number % SIDE, number // SIDE], axis=1).astype(float)
-        return (steps - (SIDE - 1) / 2) * self.pitch
+        """Positions of the taxels (n, 2) [m]."""
+        number = np.arange(self.rows * self.columns)
+        steps = np.stack([number % self.columns, number // self.columns], axis=1).astype(float)
+        return np.asarray((steps - steps[-1] / 2) * self.pitch)
 
 
 class TaxelPad:
@@ -294,12 +307,11 @@ class TaxelPad:
                 f"taxels.magnet_depth: {signal.magnet_depth!r} m; allowed: less than the body's "
                 f"thickness, {body.thickness:g} m"
             )
-        reach = (SIDE - 1) / 2 * signal.pitch
-        if 2 * reach > min(body.size_x, body.size_y):
+        room = (body.size_x / (signal.columns - 1 or 1), body.size_y / (signal.rows - 1 or 1))
+        if signal.pitch > min(room):
             raise SceneError(
-                f"taxels.pitch: {signal.pitch!r} m; allowed: up to "
-                f"{min(body.size_x, body.size_y) / (SIDE - 1):g} m, so that the taxels lie in the "
-                "body"
+                f"taxels.pitch: {signal.pitch!r} m; allowed: up to {min(room):g} m, so that the "
+                "taxels lie in the body"
             )
         positions = signal.places
         self._interior = Interior(body, signal.magnet_depth, positions)
@@ -309,23 +321,23 @@ class TaxelPad:
         self._undeformed = self.flux(still, np.zeros((*still.shape, 3)))[0]
 
     def flux(self, moved: Array, gradient: Array) -> Array:
-        """Return the flux density (F, 16, 3) [T] at the Hall elements.
+        """Return the flux density (F, n, 3) [T] at the Hall elements.
 
-        It is that of magnets moved by (F, 16, 3) [m], with the gradient there (F, 16, 3, 3), du_i /
+        It is that of magnets moved by (F, n, 3) [m], with the gradient there (F, n, 3, 3), du_i /
         dx_j.
         """
         moments = self.signal.moment * rotations(gradient)[..., 2]
         return flux_density(moments, self._magnets + moved, self._halls)
 
     def change(self, top: SurfaceField) -> Array:
-        """Return the change of the flux density (F, 16, 3) [T] from that of the unloaded pad."""
+        """Return the change of the flux density (F, n, 3) [T] from that of the unloaded pad."""
         moved, gradient = self._interior.at(top)
         return np.asarray(self.flux(moved, gradient) - self._undeformed)
 
     def raw(self, top: SurfaceField, normal: Array | None = None) -> Counts:
-        """Return raw counts (F, 16, 3) as the device sends them: integers, saturated, 0 to 65535.
+        """Return raw counts (F, n, 3) as the device sends them: integers, saturated, 0 to 65535.
 
-        The noise is given as standard normal numbers (F, 16, 3); None for no noise.
+        The noise is given as standard normal numbers (F, n, 3); None for no noise.
         """
         signal = self.signal
         gain = np.array([signal.gain_shear, signal.gain_shear, signal.gain_normal])
@@ -335,7 +347,7 @@ class TaxelPad:
         return np.clip(np.rint(analog), 0, COUNT_MAX).astype(np.int32)
 
     def counts(self, top: SurfaceField, normal: Array | None = None) -> Counts:
-        """Return counts (F, 16, 3) minus those of the unloaded pad, which are free of noise."""
+        """Return counts (F, n, 3) minus those of the unloaded pad, which are free of noise."""
         return self.raw(top, normal) - np.rint(self.signal.rest).astype(np.int32)
 
 

@@ -8,7 +8,7 @@
 current pose and the one before.
 """
 
-from sim.stream.outlines import LiveMarkers
+from sim.stream.outlines import LiveMarkers, Sampler
 from sim.stream.stream import LivePress, LiveSensor, Slope
 
-__all__ = ["LiveMarkers", "LivePress", "LiveSensor", "Slope"]
+__all__ = ["LiveMarkers", "LivePress", "LiveSensor", "Sampler", "Slope"]

@@ -14,48 +14,53 @@ from sim.errors import SceneError
 from sim.layer.spectral import PixelGrid
 from sim.markers import Pattern
 from sim.markers.top import cubic_taps
-from sim.sensors import CameraSignal, SimulatedSensor
-from sim.stream.stream import LiveTips
+from sim.sensors import CameraSignal, Pins, SimulatedSensor
 
 # Points per rim: the chords of a disc lie at most 0.5 % of its radius inside it.
 POINTS = 32
+# Places under a pin at which the skin is read (9, 2), in standard deviations, and their weights:
+# three-point Gauss-Hermite quadrature along each axis, exact up to the fifth degree.
+NODES = np.sqrt(3.0) * np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+LEAST_SPREAD = 20e-6  # of a pin without a base [m]
+SHARES = np.outer([1.0, 4.0, 1.0], [1.0, 4.0, 1.0]).ravel() / 36.0
 
 
 class LiveMarkers:
-    """Markers of a sensor's first pattern, for displacements given at the points of a grid.
+    """Markers of a sensor's first pattern.
+
+    Args:
+        sensor: Sensor with a camera.
 
     Raises:
         SceneError: The sensor has no camera.
     """
 
-    def __init__(self, sensor: SimulatedSensor, grid: PixelGrid) -> None:
-        x, y = np.asarray(grid.x, np.float64), np.asarray(grid.y, np.float64)
+    def __init__(self, sensor: SimulatedSensor) -> None:
         signal = sensor.signal
         if not isinstance(signal, CameraSignal):
             raise SceneError(f"{sensor.name}.signal: taxels; allowed: a camera")
         self._camera = signal.camera()
         pattern = signal.drawn()[0]
         self._rings = _ring(pattern)
-        self._centres = pattern.centres
-        self._tips = None
+        self._pins = signal.pins
+        about = self._rings
         if signal.pins is not None:
-            self._tips = LiveTips(signal.pins, x, y, self._centres)
-        points = self._centres if self._tips else self._centres[:, None] + self._rings
-        flat = points.reshape(-1, 2)
-        self._places = np.column_stack([flat, sensor.body.heights_at(flat[:, 0], flat[:, 1])])
-        self._index, self._weight = _taps(x, y, flat)
+            about = _spread(signal.pins) * NODES
+        self.points: Array = (pattern.centres[:, None] + about).reshape(-1, 2)
+        """Points of the top whose displacement determines the outlines (n, 2) [m]."""
+        at = pattern.centres if signal.pins is not None else self.points
+        self._places = np.column_stack([at, sensor.body.heights_at(*at.T)])
 
-    def outlines(self, displacement: NDArray[np.float32]) -> Array:
+    def outlines(self, moved: Array) -> Array:
         """Return column and row of the points of every rim (markers, POINTS, 2) [px].
 
-        The displacement of the top is (X, Y, 3) [m].
+        Args:
+            moved: Displacement of `points` (n, 3) [m].
         """
-        if self._tips is not None:
-            return self._round(self._tips.displacement(displacement))
-        values = displacement.reshape(-1, 3)[self._index]
-        moved = np.einsum("nt,ntc->nc", self._weight, values)
+        if self._pins is not None:
+            return self._round(tips_of(self._pins, np.asarray(moved, float)))
         pixels: Array = self._camera.project(self._places + moved)
-        return pixels.reshape(len(self._centres), POINTS, 2)
+        return pixels.reshape(-1, POINTS, 2)
 
     def _round(self, moved: Array) -> Array:
         """Return rims of tips displaced by (n, 3) [m]: rigid and round, larger when nearer."""
@@ -64,6 +69,47 @@ class LiveMarkers:
         size = self._camera.focal / (self._camera.distance + tips[:, 2])
         rims = self._rings * size[:, None, None] * np.array([1.0, -1.0])
         return np.asarray(self._camera.project(tips)[:, None] + rims)
+
+
+def tips_of(pins: Pins, moved: Array) -> Array:
+    """Return the displacement of pin tips (n, 3) [m], as `Pins.tips` on a fine grid.
+
+    Under a Gaussian weight of standard deviation s the mean slope of u is the mean of u x / s^2
+    (Stein's identity), here by three-point Gauss-Hermite quadrature along each axis.
+
+    Args:
+        pins: The pins.
+        moved: Displacement of the skin at `NODES` about each pin, in standard deviations (9 n, 3)
+            [m].
+    """
+    values = moved.reshape(-1, len(NODES), 3)
+    slopes = np.einsum("npc,pk->nkc", values, SHARES[:, None] * NODES) / _spread(pins)
+    normal = np.cross(slopes[:, 0] + [1.0, 0.0, 0.0], slopes[:, 1] + [0.0, 1.0, 0.0])
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    tips: Array = SHARES @ values + pins.length * (np.array([0.0, 0.0, 1.0]) - normal)
+    return tips
+
+
+def _spread(pins: Pins) -> float:
+    """Return the standard deviation of a pin's base along an axis [m], that of a disc."""
+    return max(pins.base / 4, LEAST_SPREAD)
+
+
+class Sampler:
+    """Values of a grid at some points, by cubic interpolation.
+
+    Args:
+        grid: Points of the values.
+        points: Places (n, 2) [m].
+    """
+
+    def __init__(self, grid: PixelGrid, points: Array) -> None:
+        x, y = (np.asarray(axis, np.float64) for axis in (grid.x, grid.y))
+        self._index, self._weight = _taps(x, y, points)
+
+    def __call__(self, values: NDArray[np.float32]) -> Array:
+        """Return values (X, Y, 3) at the points (n, 3)."""
+        return np.asarray(np.einsum("nt,ntc->nc", self._weight, values.reshape(-1, 3)[self._index]))
 
 
 def _ring(pattern: Pattern) -> Array:

@@ -1,6 +1,5 @@
 """Live sensor: a press, its readings, and their extrapolation between solutions."""
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,8 +12,7 @@ from sim.layer.contact import Clearance
 from sim.layer.solver import History, LayerPress, check_supported
 from sim.layer.spectral import PixelGrid
 from sim.scene import Motion, Scene
-from sim.sensors import Pins, SimulatedSensor, SurfaceField, TaxelPad, TaxelSignal
-from sim.sensors.field import EVEN_STEP, cubic_weights
+from sim.sensors import SimulatedSensor, SurfaceField, TaxelPad, TaxelSignal
 
 # A layer whose contact follows the material that the indenter drags along.
 
@@ -229,16 +227,14 @@ class Slope:
 WITHIN = 20e-3
 # Tips of a light press that initialises the slope, in multiples of the sensor's `depth_max`.
 LIGHT = ((0.0, 0.0, -0.05), (0.025, 0.0, -0.05), (0.025, 0.025, -0.05))
-# Number of counts of a pad: 16 taxels with 3 axes.
-COUNTS = 48
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer:
     """Latest solution, and its extrapolation until the next one is ready.
 
-    Values are the wrench about the tip (6,) [N, N m], then the raw counts (48,) of a pad of taxels,
-    0 without one. For a tip near `tip`, `seconds` later:
+    Values are the wrench about the tip (6,) [N, N m], then the raw counts of a pad of taxels, by
+    taxel and axis, none without one. For a tip near `tip`, `seconds` later:
 
         values + slope (x - tip) + rate seconds    if `touching`
         values + slope (0, 0, min(z, 0))           if not touching yet
@@ -248,11 +244,11 @@ class Answer:
     """Position of the tip (3,) [m]."""
     touching: bool
     values: Array
-    """Wrench and counts (54,)."""
+    """Wrench and counts (v,)."""
     slope: Array
-    """Derivative by the tip (54, 3) [1/m]; without contact, that of the last contact."""
+    """Derivative by the tip (v, 3) [1/m]; without contact, that of the last contact."""
     rate: Array
-    """Rate of relaxation at a fixed tip (54,) [1/s]."""
+    """Rate of relaxation at a fixed tip (v,) [1/s]."""
 
 
 class LiveSensor:
@@ -264,7 +260,8 @@ class LiveSensor:
     def __init__(self, sensor: SimulatedSensor, indenter: Indenter, *, grid: int = GRID) -> None:
         signal = sensor.signal
         self._pad = TaxelPad(sensor.body, signal) if isinstance(signal, TaxelSignal) else None
-        self._slope = Slope(6 + COUNTS)
+        self._count = 6 + (0 if self._pad is None else 3 * len(self._pad.signal.places))
+        self._slope = Slope(self._count)
         # A light press gives the slope of the first contact, and is then discarded.
         self.press = LivePress(sensor, indenter, grid=grid)
         self.answer = self._no_contact()
@@ -278,7 +275,7 @@ class LiveSensor:
         """Move the tip to `tip` (3,) [m] in `duration` [s]; errors as `LivePress.move`."""
         before, press = self.answer, self.press
         press.move(tip, duration)
-        values, rate = self._values(), np.zeros(6 + COUNTS)
+        values, rate = self._values(), np.zeros(self._count)
         if press.touching:
             way = press.tip - (before.tip if before.touching else _touched(before.tip, press.tip))
             self._slope.learn(way, values - before.values - duration * before.rate)
@@ -291,11 +288,11 @@ class LiveSensor:
             touching=False,
             values=self._values(),
             slope=self._slope.matrix,
-            rate=np.zeros(6 + COUNTS),
+            rate=np.zeros(self._count),
         )
 
     def _values(self) -> Array:
-        press, values = self.press, np.zeros(6 + COUNTS)
+        press, values = self.press, np.zeros(self._count)
         values[:6] = press.wrench
         if self._pad is not None:
             values[6:] = self._pad.raw(press.field)[0].ravel()
@@ -307,61 +304,3 @@ def _touched(before: Array, now: Array) -> Array:
     if before[2] <= 0 or now[2] >= 0:
         return before
     return np.asarray(before + (now - before) * (before[2] / (before[2] - now[2])))
-
-
-# Fast displacement of pin tips: `Pins.tips` computes it on a fine grid, this only at the pins.
-
-FloatArray = NDArray[np.float64]
-
-# Nodes and weights of a Gaussian mean along an axis, nodes in standard deviations: three-point
-# Gauss-Hermite quadrature, exact for polynomials up to the fifth degree.
-NODES = (-math.sqrt(3.0), 0.0, math.sqrt(3.0))
-SHARES = np.array([1.0, 4.0, 1.0]) / 6.0
-
-
-class LiveTips:
-    """Displacement of pin tips at centres (n, 2) [m], computed from that of the skin.
-
-    The skin's points are at x (X,) and y (Y,) [m], ascending.
-    """
-
-    def __init__(self, pins: Pins, x: FloatArray, y: FloatArray, centres: FloatArray) -> None:
-        self._length = pins.length
-        self._x, self._slope_x = _weights(x, centres[:, 0], pins.base)
-        self._y, self._slope_y = _weights(y, centres[:, 1], pins.base)
-
-    def displacement(self, skin: NDArray[np.float32]) -> FloatArray:
-        """Return the tips' displacement (n, 3) [m] for that of the skin (X, Y, 3) [m]."""
-        rows, columns, _ = skin.shape
-        flat = skin.reshape(rows, columns * 3).astype(float)
-        pins, nodes = len(self._x) // len(NODES), len(NODES)
-
-        def at(along_x: FloatArray, along_y: FloatArray) -> FloatArray:
-            """Return values at each pin's nodes (n, nodes, nodes, 3)."""
-            lines = (along_x @ flat).reshape(pins, nodes, columns, 3)
-            crossed = np.matmul(along_y.reshape(pins, 1, nodes, columns), lines)
-            return np.asarray(crossed)
-
-        tangent_x = at(self._slope_x, self._y) + np.array([1.0, 0.0, 0.0])
-        tangent_y = at(self._x, self._slope_y) + np.array([0.0, 1.0, 0.0])
-        normal = np.cross(tangent_x, tangent_y)
-        normal = _averaged(normal / np.linalg.norm(normal, axis=-1, keepdims=True))
-        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-        moved = _averaged(at(self._x, self._y))
-        return moved + self._length * (np.array([0.0, 0.0, 1.0]) - normal)
-
-
-def _averaged(values: FloatArray) -> FloatArray:
-    """Return means (n, 3) over the pins' bases of values at nodes (n, nodes, nodes, 3)."""
-    return np.asarray(np.einsum("nabc,a,b->nc", values, SHARES, SHARES))
-
-
-def _weights(knots: FloatArray, centres: FloatArray, base: float) -> tuple[FloatArray, FloatArray]:
-    """Return weights (n * nodes, K) from values at `knots` (K,) to values and slopes at nodes."""
-    count = max(2, round((knots[-1] - knots[0]) / EVEN_STEP) + 1)
-    even = np.linspace(knots[0], knots[-1], count)
-    fine = cubic_weights(knots, even)
-    # The standard deviation of a disc along an axis is a quarter of its width.
-    nodes = (centres[:, None] + base / 4 * np.array(NODES)).ravel()
-    to_nodes = cubic_weights(even, nodes)
-    return to_nodes @ fine, to_nodes @ np.gradient(fine, even[1] - even[0], axis=0)

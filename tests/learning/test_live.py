@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.dot_camera import MarkerCamera, PressedSurface
 from support.marker_truth import VIEWS
 
 from learning.data.images import shrink
@@ -34,7 +35,6 @@ from learning.markers.segment import (
 from learning.training.checkpoint import Config
 from recorder.archive import SHADING, SHADING_ZERO
 from recorder.markers import pack
-from rig.mock.world.picture import MarkerCamera, PressedSurface
 
 NO_CONTACT = np.full((16, 3), 30_000.0)
 SHAPE = (1, 256, 256)

@@ -10,6 +10,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from PIL import Image
+from support.dot_camera import MarkerCamera
 from support.learning_sessions import DEPTH, HIDDEN, TARGETS, altered, record, state, surface
 from support.marker_truth import VIEWS
 from support.sessions import reseal
@@ -24,7 +25,6 @@ from learning.markers.recording import read_group
 from recorder import MarkerArchive, Session, check
 from recorder.archive import location_pairs
 from recorder.markers import marker_centres, unpack
-from rig.mock.world.picture import MarkerCamera
 from tactile.__main__ import main
 from trajectories import PressShear, plan_to_json
 

@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 from support import marker_truth
+from support.dot_camera import MarkerCamera, PressedSurface
 
 from learning.errors import LearningError
 from learning.markers import Segmenter, preset
 from learning.markers.track import Tracker
 from recorder.markers import marker_centres
-from rig.mock.world.picture import MarkerCamera, PressedSurface
 from tests.support.few import few
 
 

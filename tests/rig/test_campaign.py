@@ -19,7 +19,6 @@ from recorder import catalogue as catalogue_module
 from recorder.session.press_curve import press_curves
 from rig.acquire import campaign as campaign_module
 from rig.acquire.campaign import Campaign, Item, Progress, load_campaign, progress_of, table
-from rig.bench.worlds import SimulatedSpec
 from rig.cli import campaign as campaign_command
 from rig.cli import force_depth
 from rig.cli.campaign import record_entry, run_campaign
@@ -183,7 +182,8 @@ def test_benches_with_names_of_their_own_are_recorded_in_the_simulated_world_and
     (item,) = campaign.items
 
     def collected(recording: Recording, *, targets: int | None) -> int:
-        assert isinstance(recording.bench.world, SimulatedSpec)
+        assert recording.bench.world is not None
+        assert recording.bench.world.tier == "layer"
         assert (recording.bench.indenter, targets) == ("line", 1)
         assert recording.out is not None
         _session(recording.out, item, 1, "complete", item.bench.sensor)
@@ -233,7 +233,7 @@ def test_benches_of_one_sensor_ask_to_mount_the_sensor_and_indenter_and_not_the_
 
 
 def test_a_simulated_world_is_refused_before_anything_is_asked(tmp_path: Path) -> None:
-    (tmp_path / "bare.yaml").write_text("extends: gelsight.yaml\nsimulated: null\n")
+    (tmp_path / "bare.yaml").write_text("extends: gelsight.yaml\nmock: false\nworld: null\n")
     _file(tmp_path, "sensor: bare, indenter: line, targets: 1")
     words = [
         "--file",

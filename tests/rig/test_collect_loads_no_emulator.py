@@ -46,7 +46,7 @@ def test_no_process_of_a_lab_collection_loads_an_emulator(sensor: str, tmp_path:
     with MockBench(BenchFile.read(path), run) as mock, move_typed() as terminal:
         lab = tmp_path / "lab.yaml"
         # Without what mentions emulators.
-        mock_only = ("world", "simulated", "world_frame")
+        mock_only = ("world", "world_frame")
         content = {key: value for key, value in mock.file.content.items() if key not in mock_only}
         lab.write_text(yaml.safe_dump({**content, "mock": False}))
         session = tmp_path / "s.zarr"

@@ -33,7 +33,7 @@ def folder_of_recordings(tmp_path: Path) -> Path:
     (tmp_path / "images").mkdir()
     np.save(tmp_path / "taxels.npy", np.zeros((4, 48)))
     (tmp_path / "old.zarr").mkdir()
-    lab = "mock: false\nworld: null\nsimulated: null\n"
+    lab = "mock: false\nworld: null\n"
     (tmp_path / "lab.yaml").write_text(f"extends: {BENCHES / 'tacpalm.yaml'}\n{lab}")
     return tmp_path
 

@@ -162,8 +162,7 @@ def test_the_fault_port_takes_faults_and_survives_nonsense(host: str, clock: Fak
 
 
 def _fixed_world() -> FixedWorld:
-    taxels = 34000.0 + np.arange(48).reshape(16, 3)
-    return FixedWorld(wrench=(1.0, -2.0, -3.5, 0.01, -0.02, 0.03), taxels=taxels)
+    return FixedWorld(wrench=(1.0, -2.0, -3.5, 0.01, -0.02, 0.03))
 
 
 def _netft(host: str, silence: float) -> tuple[Any, Any, Callable[..., Any]]:
@@ -174,7 +173,8 @@ def _netft(host: str, silence: float) -> tuple[Any, Any, Callable[..., Any]]:
 
 def _xela(host: str, silence: float) -> tuple[Any, Any, Callable[..., Any]]:
     settings = XelaEmulatorConfig(XelaConfig(rate_hz=200.0), host=host)
-    emulator = XelaEmulator(settings, _fixed_world(), CLOCK)
+    counts = 34000.0 + np.arange(48).reshape(16, 3)
+    emulator = XelaEmulator(settings, _fixed_world(), CLOCK, lambda state: counts)
     driver = XelaDriver(XelaConfig(f"ws://{host}:5000", silence=silence), CLOCK)
     return emulator, driver, emulator.faults.inject
 

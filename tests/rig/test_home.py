@@ -17,10 +17,10 @@ from rig.acquire.calibration.onset import Onset, combine, find_onset, tilt
 from rig.acquire.calibration.store import Calibration, HomeCalibration, LatencyCalibration
 from rig.bench.bench import Bench, BenchFile
 from rig.bench.guards import guard_limits
-from rig.bench.worlds import AnalyticSpec, Sphere
+from rig.bench.worlds import WorldSpec
 from rig.core.errors import ConfigError, SafetyStop
 from rig.core.packaged import BENCHES
-from rig.mock.world.analytic import AnalyticWorld
+from rig.mock.world import LadderWorld
 from tests.support.few import few
 from trajectories import Touch, plan_from_json, plan_to_json
 
@@ -30,18 +30,18 @@ def _bench(sensor: str) -> Bench:
 
 
 def _approach(
-    spec: AnalyticSpec, seed: int, *, surface: float = 0.0, noise: float = 0.01
+    spec: WorldSpec, indenter: str, seed: int, *, surface: float = 0.0, noise: float = 0.01
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return heights [m] and compression [N] of an approach at 1 mm/s to 0.3 N, one per ms."""
-    heights, forces = _still_approach(spec)
+    heights, forces = _still_approach(spec, indenter)
     rng = np.random.default_rng(seed)
     return heights + surface, forces + rng.normal(0, noise, len(forces))
 
 
 @functools.cache
-def _still_approach(spec: AnalyticSpec) -> tuple[np.ndarray, np.ndarray]:
+def _still_approach(spec: WorldSpec, indenter: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the noise-free approach, which no seed changes."""
-    world = AnalyticWorld(spec, (0.0,) * 6)
+    world = LadderWorld(spec, indenter, (0.0,) * 6)
     heights, forces = [], []
     for number in range(4000):
         z = 1e-3 - 1e-6 * number
@@ -52,23 +52,21 @@ def _still_approach(spec: AnalyticSpec) -> tuple[np.ndarray, np.ndarray]:
     return np.array(heights), np.array(forces)
 
 
-@pytest.mark.parametrize("indenter", ["punch", "sphere"])
+@pytest.mark.parametrize("indenter", ["cylinder", "sphere"])
 @pytest.mark.parametrize("sensor", few(["tacpalm", "gelsight", "uskin"], 2))
 def test_the_onset_is_found_whatever_presses_on_whatever_relaxes(
     sensor: str, indenter: str
 ) -> None:
     spec = _bench(sensor).world
     assert spec is not None
-    if indenter == "sphere":
-        spec = dataclasses.replace(spec, indenter=Sphere(radius=4e-3))
     inside, errors = 0, []
     for seed in range(4):
-        onset = find_onset(*_approach(spec, seed, surface=0.2e-3, noise=0.003))
+        onset = find_onset(*_approach(spec, indenter, seed, surface=0.2e-3, noise=0.003))
         assert onset is not None
         errors.append(onset.z - 0.2e-3)
         # The interval is statistical only; `combine` adds 3 um for timing.
         inside += onset.interval[0] - 3e-6 <= 0.2e-3 <= onset.interval[1] + 3e-6
-    assert np.abs(errors).max() < 15e-6
+    assert np.abs(errors).max() < 25e-6
     assert inside >= 3
 
 
@@ -279,7 +277,7 @@ def _touched(folder: Path, *, noise: float) -> Session:
     """Return a session of one approach to the TacPalm's World, without a bench."""
     spec = _bench("tacpalm").world
     assert spec is not None
-    heights, forces = _approach(spec, 0, noise=noise)
+    heights, forces = _approach(spec, "cylinder", 0, noise=noise)
     numbers = np.arange(len(heights))
     t_ns = T0 + (numbers + 1) * 1_000_000
 

@@ -96,17 +96,12 @@ def test_the_simulated_world_presses_with_ones_own_solid(
 ) -> None:
     import trimesh
 
-    from rig.bench.bench import BenchFile, bench_from, with_simulated_world
-    from rig.bench.worlds import SimulatedSpec
-    from rig.core.packaged import BENCHES
-    from rig.mock.world.simulated import live_sensor
+    from rig.bench.worlds import WorldSpec
+    from rig.mock.world.sensors import live_sensor
 
     monkeypatch.chdir(tmp_path)
     (tmp_path / "indenters").mkdir()
     trimesh.creation.box(extents=(4.0, 6.0, 20.0)).export(tmp_path / "indenters" / "block.stl")
-    content = with_simulated_world(BenchFile.read(BENCHES / "tacpalm.yaml").content, "tacpalm.yaml")
-    spec = bench_from(content, "tacpalm.yaml").world
-    assert isinstance(spec, SimulatedSpec)
     assert find_indenter("block").size == pytest.approx((4e-3, 6e-3))
     # Its construction reads and checks the solid, to the depth that the sensor allows.
-    live_sensor(spec, "block")
+    live_sensor(WorldSpec(sensor="tacpalm"), "block")

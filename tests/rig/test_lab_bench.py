@@ -45,7 +45,7 @@ class LabBench:
         self.run_folder = folder / "run"
         self.run_folder.mkdir()
         self.mock = MockBench(file, self.run_folder)
-        lab = {**self.mock.file.content, "mock": False, "world": None, "simulated": None}
+        lab = {**self.mock.file.content, "mock": False, "world": None}
         self.file = folder / "lab.yaml"
         self.file.write_text(yaml.safe_dump(lab))
         self._to_contact = invert(file.bench.contact_frame)
@@ -168,7 +168,7 @@ def test_anything_but_the_word_starts_nothing(
 def bench_with_a_gripper(tmp_path: Path) -> Path:
     content = BenchFile.read(patient_bench(tmp_path, "tacpalm")).content
     gripper = {"kind": "robotiq_2f", "port": str(tmp_path / "no-such-port"), "speed": 40}
-    lab = {**content, "mock": False, "world": None, "simulated": None, "gripper": gripper}
+    lab = {**content, "mock": False, "world": None, "gripper": gripper}
     (tmp_path / "gripping.yaml").write_text(yaml.safe_dump(lab))
     return tmp_path / "gripping.yaml"
 

@@ -23,7 +23,6 @@ from rig.core.errors import DeviceLost
 from rig.core.geometry import compose
 from rig.core.mock_names import PORTS
 from rig.core.packaged import BENCHES
-from rig.core.samples import WORLD_STATE
 from rig.devices.arm.emulated_controller import Controller
 from rig.devices.arm.emulator import ArmEmulator
 from rig.devices.camera.mjpeg_emulator import through_lens
@@ -31,10 +30,10 @@ from rig.devices.camera.settings import V4l2Config
 from rig.devices.gripper.robotiq_emulator import RobotiqEmulatorConfig
 from rig.devices.gripper.robotiq_emulator import emulate as emulate_gripper
 from rig.devices.gripper.settings import RobotiqConfig
-from rig.mock.world import AnalyticWorld
-from rig.mock.world.analytic import surface_of
+from rig.mock.world import LadderWorld
 from rig.mock.world.host import WorldHost
-from rig.mock.world.picture import MarkerCamera
+from rig.mock.world.picture import MarkerPicture
+from rig.mock.world.sensors import markers_of
 
 HOST, NOBODY = f"127.44.{1 + os.getpid() % 250}.9", "127.0.0.239"
 CLOCK = SystemClock()
@@ -73,14 +72,16 @@ class Site:
         return checks.axes(self.bench.row("force"), *ways, 0.0, 1.0)
 
     def world(self) -> WorldHost:
-        world = AnalyticWorld(self.bench.world, (0.0,) * 6)
+        world = LadderWorld(self.bench.world, "cylinder", (0.0,) * 6)
         return WorldHost(world, None, None, None)  # type: ignore[arg-type]
 
     def filmed(self, gain: float, blur: float, config: Any = None) -> list[Finding]:
         """Take a picture of the sensor through a lens."""
         spec = self.bench.world
-        state = np.zeros(1, WORLD_STATE)[0]
-        image = MarkerCamera(spec.markers, grey_noise=1.0).image(surface_of(spec, state))
+        markers = markers_of(spec)
+        rims = markers.outlines(np.zeros((len(markers.points), 3)))
+        picture = MarkerPicture(background=spec.background, ink=spec.ink, grey_noise=1.0)
+        image = picture.image(rims)
         jpeg = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1].tobytes()
         row = replace(self.bench, camera=config or self.bench.camera).row("camera")
         return list(checks.camera(row, through_lens(jpeg, gain, blur), self.folder))

@@ -44,10 +44,9 @@ def emulated(
     host: str, fault: Fault | None = None, source: Any = None, **options: Any
 ) -> AbstractContextManager[FaultyXela]:
     config = XelaEmulatorConfig(XelaConfig(rate_hz=200.0), host=host, **options)
+    counts = 48000.4 + np.arange(48).reshape(16, 3)
     emulator = FaultyXela(
-        config,
-        FixedWorld(taxels=48000.4 + np.arange(48).reshape(16, 3)) if source is None else source,
-        CLOCK,
+        config, FixedWorld() if source is None else source, CLOCK, lambda state: counts
     )
     emulator.fault = fault
     return running(emulator)
@@ -258,17 +257,18 @@ def test_of_several_sensors_in_one_message_the_bench_files_is_taken() -> None:
     assert (one.device_t, two.device_t) == (5.0, 5.0)
 
 
-def test_a_4_by_6_patch_is_read_by_a_bench_of_one_and_no_mock_bench_has_one() -> None:
-    assert XelaConfig(taxels=24).shape == (4, 6, 3)
+def test_a_patch_of_any_rows_columns_and_axes_is_read() -> None:
+    assert XelaConfig(columns=6).shape == (4, 6, 3)
+    alone = parse(frame({"data": ",".join(["7A00"] * 15), "taxels": 15}), "1", 15, 1)
+    assert alone is not None
+    assert alone.counts.shape == (15, 1)
     scan = scanned(frame({"data": ",".join(["7A00"] * 72), "taxels": 24}), "1", 24)
     assert scan.counts.shape == (24, 3)
     text = frame({"data": ",".join(["7A00"] * 72), "taxels": 24, "model": "XR1946"})
     with pytest.raises(ValueError, match="72 values; expected 3 x 16 taxels; it is a XR1946"):
         parse(text, "1", 16)
-    with pytest.raises(ValueError, match=r"taxels: 20; allowed: 16 \(4 x 4\), 24 \(4 x 6\)"):
-        XelaConfig(taxels=20)
-    with pytest.raises(ValueError, match="taxels: 24; allowed on a mock bench: 16"):
-        XelaConfig(taxels=24).check_mock()
+    with pytest.raises(ValueError, match="rows: 0; allowed: 1 to 1024"):
+        XelaConfig(rows=0)
 
 
 def test_values_that_all_jump_are_refused_and_ten_in_a_row_are_device_lost(host: str) -> None:

@@ -15,39 +15,41 @@ from support.commands import python
 from benchmarks.faults.collection_run import CollectionRun
 from recorder import Session
 from rig.bench.bench import BenchFile, bench_from, find_bench, with_simulated_world
+from rig.bench.worlds import Solver as SolverSettings
+from rig.bench.worlds import WorldSpec
 from rig.core.clock import FakeClock
 from rig.core.config import build
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES
-from rig.core.samples import ARM_TRUTH, PRESS_STATE, WORLD_STATE, surface_state
+from rig.core.samples import ARM_TRUTH, WORLD_STATE, press_state, surface_state
 from rig.core.shared_memory import SharedLatest
 from rig.mock.bench import MockBench
-from rig.mock.world import SimulatedSpec, SimulatedWorld, WorldConfig, build_world, load_view
+from rig.mock.world import SimulatedWorld, WorldConfig, build_world, load_view
+from rig.mock.world.contact import ContactFrame
 from rig.mock.world.picture import coverage
 from rig.mock.world.press_solver import Shared, Solver
+from rig.mock.world.sensors import live_sensor, markers_of, note_on
 from rig.mock.world.simulated import (
     PRESS_FILE,
     SURFACE_FILE,
     Between,
-    ContactFrame,
-    SimulatedView,
+    SimulatedSurface,
     extrapolated,
-    live_sensor,
-    markers_of,
-    note_on,
 )
 from sim.indenters import named
 from sim.sensors import Posterior, sensor, sensor_of
-from sim.stream import LivePress
+from sim.stream import LivePress, Sampler
 from sim.twin.record import twin_yaml
 
 MS = 1_000_000
 FRAME = (0.1, -0.2, 0.3, 0.0, 0.0, 0.0)
-COARSE = SimulatedSpec(sensor="gelsight", grid=32)
+COARSE = WorldSpec(sensor="gelsight", tier="layer", solver=SolverSettings(grid=32))
+SOLVED = press_state(6)
+PAD = press_state(54)
 
 
-def press_state(**values: Any) -> np.void:
-    state = np.zeros(1, PRESS_STATE)[0]
+def solved(**values: Any) -> np.void:
+    state = np.zeros(1, PAD)[0]
     state["friction"] = 0.5
     for name, value in values.items():
         state[name] = value
@@ -65,27 +67,23 @@ def test_every_sensor_of_the_lab_has_a_simulated_world(sensor: str) -> None:
     file = BenchFile.read(path)
     bench, content = file.bench, file.content
     assert bench.world is not None
-    assert bench.world.KIND == "analytic"
+    assert bench.world.tier == "ladder"
     simulated = bench_from(with_simulated_world(content, str(path)), str(path))
-    assert isinstance(simulated.world, SimulatedSpec)
-    assert simulated.world == simulated.simulated
-    assert simulated.world.noise == bench.world.noise
-    assert simulated.world.gauge_depth == bench.world.gauge_depth
+    assert simulated.world == replace(bench.world, tier="layer")
 
 
 @pytest.mark.parametrize(
     ("make", "word"),
     [
-        (lambda: build(SimulatedSpec, {"sensor": "gelsight", "rate_hz": 0.0}, "w"), "rate_hz"),
-        (lambda: build(SimulatedSpec, {"sensor": "gelsight", "grid": 8}, "w"), "grid"),
-        (lambda: build(SimulatedSpec, {"sensor": "gelsight", "depth_mm": 8.0}, "w"), "unknown"),
-        (lambda: build(SimulatedSpec, {}, "w"), "missing sensor"),
-        (lambda: live_sensor(SimulatedSpec(sensor="gelsite"), "sphere"), "gelsite"),
+        (lambda: build(SolverSettings, {"rate_hz": 0.0}, "w"), "rate_hz"),
+        (lambda: build(SolverSettings, {"grid": 8}, "w"), "grid"),
+        (lambda: build(WorldSpec, {"sensor": "gelsight", "depth_mm": 8.0}, "w"), "unknown"),
+        (lambda: build(WorldSpec, {}, "w"), "missing sensor"),
+        (lambda: live_sensor(WorldSpec(sensor="gelsite"), "sphere"), "gelsite"),
         (lambda: live_sensor(COARSE, "fist"), "fist"),
-        (lambda: markers_of(SimulatedSpec(sensor="uskin")), "camera"),
-        (lambda: markers_of(SimulatedSpec(sensor="mine.yaml")), "no such file"),
-        (lambda: with_simulated_world({"mock": True}, "b.yaml"), "simulated: missing"),
-        (lambda: with_simulated_world({"mock": False, "simulated": {}}, "b.yaml"), "lab bench"),
+        (lambda: markers_of(WorldSpec(sensor="uskin")), "camera"),
+        (lambda: markers_of(WorldSpec(sensor="mine.yaml")), "no such file"),
+        (lambda: with_simulated_world({"mock": False, "world": None}, "b.yaml"), "world: missing"),
     ],
 )
 def test_a_simulated_world_that_cannot_be_is_refused_with_the_key_or_the_name(
@@ -102,7 +100,7 @@ def test_a_twin_that_another_tier_fitted_is_named(tmp_path: Path) -> None:
         row = tmp_path / "mine.yaml"
         twin = replace(sensor("gelsight"), posterior=posterior)
         row.write_text(twin_yaml(twin, "gelsight.yaml", ["a.zarr"]))
-        note = note_on(SimulatedSpec(sensor=str(row)))
+        note = note_on(WorldSpec(sensor=str(row)))
         assert word in note
         assert bool(word) == bool(note)
 
@@ -114,7 +112,7 @@ def test_a_world_goes_on_along_the_slope_of_the_last_solution() -> None:
     values[2], values[8] = -2.0, 100.0
     rate = np.zeros(54)
     rate[2] = 10.0
-    last = press_state(
+    last = solved(
         t_ns=50 * MS, tip=(0, 0, -1e-3), touching=1, values=values, slope=slope, rate=rate
     )
     found = extrapolated(last, 60 * MS, np.array([1e-4, 0.0, -1.1e-3]))
@@ -123,18 +121,22 @@ def test_a_world_goes_on_along_the_slope_of_the_last_solution() -> None:
     assert found[8] == pytest.approx(150.0)
     np.testing.assert_array_equal(last["values"], values)
     # Before it touches, the force begins at the undeformed surface.
-    last = press_state(tip=(0, 0, 1e-3), slope=slope)
+    last = solved(tip=(0, 0, 1e-3), slope=slope)
     assert not extrapolated(last, 0, np.array([0.0, 0.0, 0.5e-3])).any()
     assert extrapolated(last, 0, np.array([0.0, 0.0, -1e-4]))[2] == pytest.approx(-0.2)
 
 
-def test_a_contact_never_pulls_and_drags_no_more_than_friction_allows() -> None:
+def between(folder: Path) -> Between:
+    return Between(WorldSpec("uskin", solver=SolverSettings(rate_hz=62.5)), folder)
+
+
+def test_a_contact_never_pulls_and_drags_no_more_than_friction_allows(tmp_path: Path) -> None:
     slope = np.zeros((54, 3))
     slope[2, 2], slope[0, 0] = 2000.0, 4000.0
     values = np.zeros(54)
     values[2], values[4] = -0.5, 0.01
-    text_between = Between(16 * MS)
-    last = press_state(t_ns=1, tip=(0, 0, -2e-4), touching=1, values=values, slope=slope)
+    text_between = between(tmp_path)
+    last = solved(t_ns=1, tip=(0, 0, -2e-4), touching=1, values=values, slope=slope)
     text_between.take(last, 1, last["tip"])
     assert text_between.at(1, np.array([0.0, 0.0, -2e-4]))[2] == -0.5
     # Half a millimetre up is more than the depth of the contact.
@@ -144,27 +146,27 @@ def test_a_contact_never_pulls_and_drags_no_more_than_friction_allows() -> None:
     assert dragged[0] == pytest.approx(0.25)
 
 
-def test_a_new_solution_comes_in_without_a_jump() -> None:
-    text_between, tip = Between(16 * MS), np.array([0.0, 0.0, -1e-3])
+def test_a_new_solution_comes_in_without_a_jump(tmp_path: Path) -> None:
+    text_between, tip = between(tmp_path), np.array([0.0, 0.0, -1e-3])
     values = np.zeros(54)
     for t_ms, force in ((10, -1.0), (26, -1.6)):
         values[2] = force
-        last = press_state(t_ns=t_ms * MS, tip=tip, touching=1, values=values)
+        last = solved(t_ns=t_ms * MS, tip=tip, touching=1, values=values)
         text_between.take(last, (t_ms + 5) * MS, tip)
     found = [text_between.at(ms * MS, tip)[2] for ms in (31, 39, 47, 60)]
     np.testing.assert_allclose(found, (-1.0, -1.3, -1.6, -1.6))
 
 
 def test_a_state_has_the_wrench_about_the_gauge_and_the_taxels(tmp_path: Path) -> None:
-    presses = SharedLatest.create(tmp_path / PRESS_FILE, PRESS_STATE)
-    spec = SimulatedSpec(sensor="uskin", gauge_depth=0.02)
+    presses = SharedLatest.create(tmp_path / PRESS_FILE, PAD)
+    spec = WorldSpec(sensor="uskin", tier="layer", gauge_depth=0.02)
     world = SimulatedWorld(spec, FRAME, tmp_path)
     tip = (1e-3, 2e-3, -1e-3)
     assert not world.step(5 * MS, pose(tip))["wrench"].any()
     values = np.zeros(54)
     values[:6] = (0.3, 0.1, -2.0, 1e-4, 2e-4, 3e-4)
     values[6:9] = (48_000, 16_500, 70_000)
-    presses.write(press_state(t_ns=6 * MS, tip=tip, touching=1, values=values, shear=(1e-4, 0)))
+    presses.write(solved(t_ns=6 * MS, tip=tip, touching=1, values=values, shear=(1e-4, 0)))
     state = world.step(6 * MS, pose(tip))
     assert state["t_ns"] == 6 * MS
     assert state["depth"] == pytest.approx(1e-3)
@@ -173,7 +175,11 @@ def test_a_state_has_the_wrench_about_the_gauge_and_the_taxels(tmp_path: Path) -
     lever = np.add(tip, (0, 0, 0.02))
     expected = values[3:6] + np.cross(lever, values[:3])
     np.testing.assert_allclose(state["wrench"], [*values[:3], *expected], atol=1e-9)
-    np.testing.assert_array_equal(state["taxels"][0], (48_000, 16_500, 65_535))
+    file = tmp_path / "world.json"
+    more = {"contact_frame": {"position_mm": [0, 0, 0]}, "folder": str(tmp_path)}
+    file.write_text(json.dumps({"world": {"sensor": "uskin", "tier": "layer"}, **more}))
+    counts = load_view(file, "taxels")(state)
+    np.testing.assert_array_equal(counts[0], (48_000, 16_500, 65_535))
     # The contact frame may be turned.
     turned = ContactFrame((0.1, 0.0, 0.0, 0.0, 0.0, np.pi / 2))
     at = turned.tip(np.array([0.1, 0.02, -0.01, 0, 0, 0]))
@@ -190,12 +196,11 @@ def test_the_solver_is_started_with_the_world_that_needs_it(tmp_path: Path) -> N
     world = build(WorldConfig, documents["world"][1], "world")
     assert (world.indenter, world.folder) == ("prism", tmp_path)
     assert world.contact_frame == read.bench.contact_frame
-    SharedLatest.create(tmp_path / PRESS_FILE, PRESS_STATE).close()
     assert isinstance(build_world(world), SimulatedWorld)
+    assert isinstance(world.surface(np.zeros((1, 2))), SimulatedSurface)
     file = tmp_path / "world.json"
-    file.write_text(json.dumps(documents["world"][1]))
-    assert isinstance(load_view(file), SimulatedView)
-    file.write_text(json.dumps({**documents["world"][1], "world": {"kind": "dreamt"}}))
+    dreamt = {"sensor": "gelsight", "tier": "dreamt"}
+    file.write_text(json.dumps({**documents["world"][1], "world": dreamt}))
     with pytest.raises(ConfigError, match="dreamt"):
         load_view(file)
 
@@ -206,9 +211,9 @@ class Bench:
     def __init__(self, folder: Path) -> None:
         folder.mkdir(exist_ok=True)
         self.arm = SharedLatest.create(folder / "arm", ARM_TRUTH)
-        self.presses = SharedLatest.create(folder / PRESS_FILE, PRESS_STATE)
         self.live = live_sensor(COARSE, "sphere")
         shared = Shared(folder, self.live)
+        self.presses = SharedLatest.attach(folder / PRESS_FILE, SOLVED)
         clock = FakeClock()
         self.solver = Solver(self.live, ContactFrame(FRAME), self.arm, shared, COARSE, clock)
         shape = self.live.press.grid.shape
@@ -276,7 +281,7 @@ def test_its_world_feels_what_the_solver_found_and_more_as_the_arm_goes_on(tmp_p
 
 def test_a_picture_goes_on_between_deformations_as_the_tip_does(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
-    view = SimulatedView(COARSE, tmp_path)
+    view = SimulatedSurface(COARSE, tmp_path, np.zeros((1, 2)))
     for turn, z in enumerate((-0.6e-3, -0.7e-3, -0.8e-3), 1):
         bench.at(16 * turn, (0.0, 0.0, z))
         bench.solver.turn()
@@ -307,19 +312,22 @@ def test_the_camera_sees_the_markers_where_the_simulators_renderer_does(
     bell = np.exp(-((across - 1e-3) ** 2 + along**2) / width**2)
     moved = np.stack([0.3 * across, 0.1 * along, np.full_like(bell, -0.25 * width)], -1)
     moved = (moved * bell[..., None]).astype(np.float32)
-    spec = SimulatedSpec(sensor=sensor, grid=48)
-    rims = markers_of(spec)[0].outlines(moved)
-    found = coverage(rims) >= 128
+    markers = markers_of(WorldSpec(sensor=sensor))
+    read = Sampler(grid, markers.points)
+    found = coverage(markers.outlines(read(moved))) >= 128
     expected = readout(row).masks(SurfaceField(grid.x, grid.y, moved[None]))[0, 0]
     assert (found & expected).sum() / (found | expected).sum() > 0.975
-    still = coverage(markers_of(spec)[0].outlines(0 * moved)) >= 128
+    still = coverage(markers.outlines(read(0 * moved))) >= 128
     assert (still & expected).sum() / (still | expected).sum() < 0.9
 
 
 def test_a_picture_has_the_colours_that_the_bench_file_names(tmp_path: Path) -> None:
-    spec = SimulatedSpec(sensor="gelsight", grid=32, background=(200, 100, 50), ink=(10, 20, 30))
-    state = np.zeros(1, WORLD_STATE)[0]
-    image = SimulatedView(spec, tmp_path)(state)
+    colours = {"background": [200, 100, 50], "ink": [10, 20, 30]}
+    file = tmp_path / "world.json"
+    more = {"contact_frame": {"position_mm": [0, 0, 0]}, "folder": str(tmp_path)}
+    world = {"sensor": "gelsight", "tier": "layer", **colours}
+    file.write_text(json.dumps({"world": world, **more}))
+    image = load_view(file)(np.zeros(1, WORLD_STATE)[0])
     assert (image.shape, image.dtype) == ((480, 640, 3), np.uint8)
     inked = (np.abs(image.astype(int) - (10, 20, 30)) <= 1).all(axis=-1)
     assert 0.04 < inked.mean() < 0.12
@@ -330,13 +338,12 @@ def test_a_picture_has_the_colours_that_the_bench_file_names(tmp_path: Path) -> 
 
 def test_a_solver_that_fails_ends_its_process_with_the_reason(tmp_path: Path) -> None:
     settings = {
-        "world": {"kind": "simulated", "sensor": "gelsight", "grid": 32},
+        "world": {"tier": "layer", "sensor": "gelsight", "solver": {"grid": 32}},
         "contact_frame": {"position_mm": [1e3 * metre for metre in FRAME[:3]]},
         "folder": str(tmp_path),
         "indenter": "sphere",
     }
     arm = SharedLatest.create(tmp_path / "arm.state", ARM_TRUTH)
-    SharedLatest.create(tmp_path / PRESS_FILE, PRESS_STATE).close()
     arm.write((MS, np.full(6, np.nan), np.zeros(6)))
     command = ["-m", "rig.mock.emulate", "solver", json.dumps(settings)]
     run = python(*command, code=3)
@@ -350,7 +357,7 @@ def test_a_solver_that_fails_ends_its_process_with_the_reason(tmp_path: Path) ->
 def test_a_session_on_the_simulated_bench_holds_what_the_simulator_says(
     sensor: str, tmp_path: Path
 ) -> None:
-    more = "trajectory: {points: [1], angle_step_deg: 180.0}\nsimulated: {behind_ms: 4000.0}"
+    more = "trajectory: {points: [1], angle_step_deg: 180.0}\nworld: {solver: {behind_ms: 4000.0}}"
     bench = patient_bench(tmp_path, sensor, more=more)
     run = CollectionRun.collect(
         tmp_path / "s.zarr", "--targets", "2", "--bench", str(bench), "--world", "sim",
@@ -358,7 +365,7 @@ def test_a_session_on_the_simulated_bench_holds_what_the_simulator_says(
     )  # fmt: skip
     assert run.wait(240) == 0, run.text
     session = Session(run.session)
-    assert session.attrs["bench"]["world"]["kind"] == "simulated"
+    assert session.attrs["bench"]["world"]["tier"] == "layer"
     assert faults_of(run.session) == []
     pose, gauge = session.streams["pose"], session.streams["force"]
     frame, wrench = np.asarray(session.attrs["contact_frame"]), np.asarray(gauge.array("value"))

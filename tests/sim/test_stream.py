@@ -13,8 +13,9 @@ from sim.indenters import named
 from sim.layer.solver import simulate_layer
 from sim.layer.spectral import PixelGrid
 from sim.sensors import Pins, SurfaceField, sensor
-from sim.stream import LiveMarkers, LivePress, LiveSensor, Slope
-from sim.stream.stream import SURE, LiveTips
+from sim.stream import LiveMarkers, LivePress, LiveSensor, Sampler, Slope
+from sim.stream.outlines import NODES, tips_of
+from sim.stream.stream import SURE
 
 COARSE = 32
 GELSIGHT = sensor("gelsight")
@@ -184,14 +185,16 @@ def dent(row: str, shift: float = 0.0) -> SurfaceField:
 def test_rims_lie_where_the_camera_sees_the_material_of_the_pattern(name: str) -> None:
     row, top = sensor(name), dent(name)
     pattern = row.signal.drawn()[0]
-    rims = LiveMarkers(row, PixelGrid(row.body, 64)).outlines(top.displacement[0])
+    markers = LiveMarkers(row)
+    read = Sampler(PixelGrid(row.body, 64), markers.points)
+    rims = markers.outlines(read(top.displacement[0]))
     assert rims.shape == (len(pattern), 32, 2)
     # Rings of material: their centres appear where the markers' centres moved to.
     places = np.column_stack([pattern.centres, np.zeros(len(pattern))]) + top.at(pattern.centres)[0]
     middle = row.signal.camera().project(places)
     inside = (np.abs(pattern.centres) < 7e-3).all(axis=1)
     assert np.abs(rims.mean(axis=1) - middle)[inside].max() < 0.5
-    still = LiveMarkers(row, PixelGrid(row.body, 64)).outlines(0 * top.displacement[0])
+    still = markers.outlines(np.zeros((len(markers.points), 3)))
     area = (
         np.abs(
             np.sum(still[..., 0] * np.roll(still[..., 1], -1, 1), 1)
@@ -208,18 +211,17 @@ def test_tips_of_pins_go_where_the_fine_grid_of_the_skin_says() -> None:
     row, top = sensor("tacpalm"), dent("tacpalm", shift=2e-3)
     pins, centres = row.signal.pins, row.signal.drawn()[0].centres
     expected = pins.tips(top).at(centres)[0]
-    found = LiveTips(pins, top.x, top.y, centres).displacement(top.displacement[0])
+    found = tips_of(pins, top.at(LiveMarkers(row).points)[0])
     assert np.abs(expected).max() > 1e-3
     assert np.abs(found - expected).max() < 5e-6
-    bare = LiveTips(Pins(length=0.0, base=0.0), top.x, top.y, centres)
-    np.testing.assert_allclose(
-        bare.displacement(top.displacement[0]), top.at(centres)[0], atol=2e-6
-    )
+    bare = tips_of(Pins(length=0.0, base=0.0), np.repeat(top.at(centres)[0], len(NODES), axis=0))
+    np.testing.assert_allclose(bare, top.at(centres)[0], atol=2e-6)
 
 
 def test_pins_stay_round_and_a_deeper_one_looks_larger() -> None:
     row, top = sensor("tacpalm"), dent("tacpalm")
-    rims = LiveMarkers(row, PixelGrid(row.body, 64)).outlines(top.displacement[0])
+    markers = LiveMarkers(row)
+    rims = markers.outlines(top.at(markers.points)[0])
     size = np.linalg.norm(rims - rims.mean(axis=1, keepdims=True), axis=-1)
     assert np.ptp(size, axis=1).max() < 1e-6
     middle = np.linalg.norm(row.signal.drawn()[0].centres, axis=1).argmin()

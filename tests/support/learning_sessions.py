@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import simplejpeg
 import zarr
+from support.dot_camera import MarkerCamera, PressedSurface
 from support.marker_truth import VIEWS
 from support.sessions import reseal
 
@@ -24,7 +25,6 @@ from recorder.store.documents import merge_attrs
 from recorder.store.images import compress
 from recorder.store.layout import ColumnLayout
 from recorder.store.shard import ColumnLog
-from rig.mock.world.picture import MarkerCamera, PressedSurface
 
 T0 = 5_000_000_000_000
 PHASE_NS = 100_000_000

@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from support.dot_camera import MarkerCamera, MarkerView, PressedSurface
 
 from learning.markers import CameraPreset, Segmenter, preset
 from recorder.markers import SMALLEST_PX, find_blobs, marker_centres
-from rig.bench.worlds import MarkerView
-from rig.mock.world.picture import MarkerCamera, PressedSurface
 from sim.layer import Layer
 
 # Views of the mock benches, by the preset intended for them.

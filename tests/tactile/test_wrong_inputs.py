@@ -168,7 +168,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     np.save(folder / "t.npy", np.zeros((60, 48)))
     np.save(folder / "7.npy", np.zeros((60, 7)))
     (folder / "split.npy").write_text("no array")
-    mine = "mock: false\nworld: null\nsimulated: null\n"
+    mine = "mock: false\nworld: null\n"
     (folder / "lab.yaml").write_text(f"extends: {BENCHES / 'tacpalm.yaml'}\n{mine}")
     (folder / "f.csv").write_text("fx,fy,fz\n1,2,x\n")
     return folder

@@ -143,6 +143,28 @@ class Wrist:
         return self.gain * wrench + self._bias + self._drift * t + noise
 
 
+class PoseError:
+    """Errors of a reported pose: noise of its position, and a vector that flips its sign.
+
+    Args:
+        jitter: Standard deviation of the position along each axis [m].
+        flipped: Report every other tenth of a second the opposite vector of the same rotation.
+        seed: Seed of the noise.
+    """
+
+    def __init__(self, jitter: float, flipped: bool, seed: int) -> None:
+        self._jitter, self._flipped = jitter, flipped
+        self._rng = np.random.default_rng(seed)
+
+    def reported(self, pose: Array, tick: int) -> Array:
+        """Return what the arm reports for a pose (6,) [m, rad] in its cycle `tick`."""
+        position, vector = pose[:3] + self._rng.normal(0.0, self._jitter, 3), pose[3:]
+        angle = float(np.linalg.norm(vector))
+        if self._flipped and tick * CYCLE % 0.2 < 0.1 and angle > 0:
+            vector = vector * (1 - math.tau / angle)
+        return np.concatenate([position, vector])
+
+
 class Robot:
     """Ideal arm that follows its commands exactly.
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from rig.core.geometry import Array
 from rig.devices.arm import rtde
-from rig.devices.arm.emulated_arm import CYCLE, Movement, Robot, Wrist
+from rig.devices.arm.emulated_arm import CYCLE, Movement, PoseError, Robot, Wrist
 
 logger = logging.getLogger(__name__)
 
@@ -198,6 +198,8 @@ class Controller:
         self.wrench = np.zeros(6)
         """On the sensor, from the World [N, N m]; reported as actual_TCP_force unrotated."""
         self.wrist: Wrist | None = None
+        self.pose_error: PoseError | None = None
+        """Errors of the reported pose; None: it is exact."""
         """Errors of that report; None: none."""
         self.tick = 0
         self.runtime_state = STOPPED
@@ -332,6 +334,12 @@ class Controller:
         """Return the function that reads output variable `name`."""
         return self._sources[name]
 
+    def _tcp_pose(self) -> rtde.Value:
+        pose = self.robot.pose
+        if self.pose_error is not None:
+            pose = self.pose_error.reported(pose, self.tick)
+        return tuple(pose.tolist())
+
     def report(self, recorded: Mapping[str, rtde.Value]) -> None:
         """Report variables as a mapping has them at the time, and a running program."""
         self.runtime_state = PLAYING
@@ -350,8 +358,9 @@ class Controller:
         for k in range(48):
             sources[f"output_int_register_{k}"] = partial(self._ints.__getitem__, k)
             sources[f"output_double_register_{k}"] = partial(self._doubles.__getitem__, k)
+        sources["target_TCP_pose"] = lambda: tuple(robot.pose.tolist())
+        sources["actual_TCP_pose"] = self._tcp_pose
         for what in ("actual", "target"):
-            sources[f"{what}_TCP_pose"] = lambda: tuple(robot.pose.tolist())
             sources[f"{what}_TCP_speed"] = lambda: tuple(robot.speed.tolist())
             sources[f"{what}_q"] = lambda: tuple(robot.joints.tolist())
         sources["timestamp"] = lambda: self.tick * CYCLE

@@ -47,7 +47,7 @@ from rig.core.playback import PlayableConfig, Playback
 from rig.core.samples import ARM_TRUTH
 from rig.core.shared_memory import SharedLatest
 from rig.devices.arm import dashboard, rtde
-from rig.devices.arm.emulated_arm import CYCLE, POSTURE, Wrist, flange_pose
+from rig.devices.arm.emulated_arm import CYCLE, POSTURE, PoseError, Wrist, flange_pose
 from rig.devices.arm.emulated_controller import Controller, dashboard_answer
 from rig.devices.arm.settings import ArmConfig
 
@@ -504,6 +504,10 @@ class ArmEmulatorConfig(PlayableConfig):
     """Port for injecting faults; None: none."""
     wrist: bool = False
     """Report the force as a real arm estimates it, with the errors of a `Wrist` of this `seed`."""
+    pose_jitter_mm: float = 0.0
+    """Standard deviation of the reported position along each axis [mm]."""
+    flipped_rotation: bool = False
+    """Report every other tenth of a second the opposite rotation vector of the same rotation."""
 
 
 def emulate(settings: ArmEmulatorConfig, clock: Clock) -> Served:
@@ -515,6 +519,9 @@ def emulate(settings: ArmEmulatorConfig, clock: Clock) -> Served:
     controller.payload_cog = settings.device.payload_cog
     if settings.wrist:
         controller.wrist = Wrist(settings.seed)
+    if settings.pose_jitter_mm or settings.flipped_rotation:
+        jitter = 1e-3 * settings.pose_jitter_mm
+        controller.pose_error = PoseError(jitter, settings.flipped_rotation, settings.seed)
     state = SharedLatest.publish(settings.state, ARM_TRUTH) if settings.state else None
     world = SharedWorld(settings.world)
     playback = settings.playback(clock)

@@ -5,9 +5,6 @@ from typing import ClassVar
 
 from rig.core.stream_settings import StreamSettings
 
-# Rows and columns of XELA's patches, by number of taxels.
-_PATCHES = {16: (4, 4), 24: (4, 6)}
-
 
 @dataclass(frozen=True, slots=True)
 class TaxelSettings(StreamSettings):
@@ -36,21 +33,23 @@ class XelaConfig(TaxelSettings):
     """Address of `xela_server`."""
     sensor: str = "1"
     """Key of the sensor in the server's messages."""
-    taxels: int = 16
-    """16 of a 4 x 4 patch (XR1944, uSPa44), or 24 of a 4 x 6 one (XR1946, uSPa46)."""
+    rows: int = 4
+    """Rows of the patch: 4 of 4 x 4 (XR1944, uSPa44) and of 4 x 6 (XR1946, uSPa46)."""
+    columns: int = 4
+    """Taxels of each row."""
+    axes: int = 3
+    """X, Y and Z of each taxel, or the last of them."""
     rate_hz: float = 60.0
     """Expected messages per second; the server decides, the rig measures."""
 
     def __post_init__(self) -> None:
-        if self.taxels not in _PATCHES:
-            raise ValueError(f"taxels: {self.taxels}; allowed: 16 (4 x 4), 24 (4 x 6)")
-
-    def check_mock(self) -> None:
-        """Reject a patch that the World of a mock bench does not have."""
-        if self.taxels != 16:
-            raise ValueError(f"taxels: {self.taxels}; allowed on a mock bench: 16, of its World")
+        for name in ("rows", "columns"):
+            if not 1 <= getattr(self, name) <= 1024:
+                raise ValueError(f"{name}: {getattr(self, name)!r}; allowed: 1 to 1024")
+        if not 1 <= self.axes <= 3:
+            raise ValueError(f"axes: {self.axes!r}; allowed: 1 to 3")
 
     @property
     def shape(self) -> tuple[int, int, int]:
         """Rows and columns of the patch, and axes of each taxel."""
-        return (*_PATCHES[self.taxels], 3)
+        return self.rows, self.columns, self.axes

@@ -34,7 +34,7 @@ _JUMP, _JUMPED = 8192, 0.5
 class XelaDriver(ReceivingDriver):
     """Stream of one uSkin sensor.
 
-    Columns: value (taxels, 3) int32 raw counts, device_t float64 [s], seq int64, t_ns.
+    Columns: value (taxels, axes) int32 raw counts, device_t float64 [s], seq int64, t_ns.
     """
 
     def __init__(self, config: XelaConfig, clock: Clock) -> None:
@@ -88,7 +88,7 @@ class XelaDriver(ReceivingDriver):
             "address": self._config.address,
             "sensor": self._config.sensor,
             "model": description.get("model"),
-            "taxels": self._config.taxels,
+            "taxels": self._config.rows * self._config.columns,
             "unit": "counts",
             "layout": "1.8" if "time" in description else "1.7",
             "rate_hz": float(ups[0]) if isinstance(ups, list) and ups else None,
@@ -120,7 +120,8 @@ class XelaDriver(ReceivingDriver):
         now_ns = self._clock.now_ns()
         self._waits = 0
         try:
-            scan = parse(text, self._config.sensor, self._config.taxels)
+            rows, columns, axes = self._config.shape
+            scan = parse(text, self._config.sensor, rows * columns, axes)
             if scan is not None:
                 self._require_plausible(scan)
         except (ValueError, RecursionError) as error:

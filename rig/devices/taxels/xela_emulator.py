@@ -31,11 +31,14 @@ from websockets.sync.server import serve as listen
 
 from rig.core.clock import SECOND_NS, Clock, ClockAnchor, Pacer
 from rig.core.emulation import Emulator, Newest, Served, SharedWorld
+from rig.core.errors import ConfigError
 from rig.core.fault_injection import FaultInjector, corrupted_text
 from rig.core.playback import PlayableConfig, Playback, stated_rate
 from rig.devices.taxels.settings import XelaConfig
 
 Log = npt.NDArray[np.float64]
+# Returns the counts (taxels, 3) of a WORLD_STATE.
+View = Callable[[np.void], npt.NDArray[Any]]
 
 # Scans kept for a client that falls behind, which gets them all in order, as from the server.
 _BACKLOG = 512
@@ -52,24 +55,31 @@ class XelaEmulatorConfig(PlayableConfig):
     """Message layout."""
     noise: float = 0.0
     """Standard deviation of each value [counts]; a real patch without contact has about 2.1."""
+    view: Path | None = None
+    """JSON document of the World whose taxels to send; None: zeros."""
+    true_rate_hz: float | None = None
+    """Rate of the scans; None: as the device's settings expect it."""
     source: Path | None = None
     """Log of raw counts (.npy) to play in place of the World."""
 
 
-def emit(number: int, seconds: float, counts: Sequence[int], *, layout: str, ups: float) -> str:
+def emit(
+    number: int, seconds: float, counts: Sequence[int], *, layout: str, ups: float, axes: int = 3
+) -> str:
     """Return the message of scan `number`; inverse of `rig.devices.taxels.xela_wire.parse`.
 
     Args:
         number: The server's scan counter.
         seconds: Time of the scan since 1970 [s].
-        counts: X, Y, Z of each taxel, 0 to 65535.
+        counts: All axes of each taxel, 0 to 65535.
         layout: 1.7 or 1.8.
         ups: Updates per second stated in layout 1.8 [Hz].
+        axes: Counts of each taxel.
     """
     sensor: dict[str, Any] = {
         "data": ",".join([f"{value:X}" for value in counts]),
         "sensor": "1",
-        "taxels": len(counts) // 3,
+        "taxels": len(counts) // axes,
         "model": "XR1944" if layout == "1.7" else "uSPa44",
         "calibrated": None,
     }
@@ -84,12 +94,18 @@ class XelaEmulator(Emulator):
     """Emulated server: one thread produces scans, one per client sends the newest."""
 
     def __init__(
-        self, config: XelaEmulatorConfig, source: SharedWorld | Log | Playback, clock: Clock
+        self,
+        config: XelaEmulatorConfig,
+        source: SharedWorld | Log | Playback,
+        clock: Clock,
+        view: View | None = None,
     ) -> None:
+        """Serve a source; of a World, the counts (taxels, 3) that `view` returns of its state."""
         super().__init__()
         self._config = config
         self._port = urlsplit(config.device.address).port or 80
-        self._source = source
+        self._source, self._view = source, view
+        self._rate_hz = config.true_rate_hz or config.device.rate_hz
         self._clock = clock
         self._anchor = ClockAnchor.take()
         self._rng = np.random.default_rng(config.seed)
@@ -146,7 +162,7 @@ class XelaEmulator(Emulator):
             _cut(client)
 
     def _make_scans(self, source: SharedWorld | Log) -> None:
-        pacer = Pacer(self._clock, self._config.device.rate_hz)
+        pacer = Pacer(self._clock, self._rate_hz)
         while not self._ending.is_set():
             pacer.wait()
             self.missed = pacer.missed
@@ -157,7 +173,8 @@ class XelaEmulator(Emulator):
                 now_ns / SECOND_NS,
                 counts,
                 layout=self._config.layout,
-                ups=self._config.device.rate_hz,
+                ups=self._rate_hz,
+                axes=self._config.device.axes,
             )
             self._scans.publish(self.faults.passed(message))
 
@@ -172,7 +189,12 @@ class XelaEmulator(Emulator):
         if isinstance(source, np.ndarray):
             values = source[self._scans.count % len(source)]
         else:
-            values = source.state()[1]["taxels"].reshape(-1)
+            rows, columns, axes = self._config.device.shape
+            values = np.zeros((rows * columns, 3))
+            if self._view is not None:
+                values = self._view(source.state()[1])
+            # Z is the last axis.
+            values = values[:, -axes:].reshape(-1)
         if self._config.noise > 0:
             values = values + self._rng.normal(0.0, self._config.noise, values.shape)
         whole: list[int] = np.rint(values).clip(0, 0xFFFF).astype(np.int64).tolist()
@@ -218,6 +240,7 @@ def _recorded_messages(playback: Playback, config: XelaEmulatorConfig) -> Callab
             counts[place],
             layout=config.layout,
             ups=config.device.rate_hz,
+            axes=config.device.axes,
         )
 
     return message
@@ -266,5 +289,17 @@ def emulate(settings: XelaEmulatorConfig, clock: Clock) -> Served:
         source = load_log(settings.source)
     else:
         source = SharedWorld(settings.world)
-    emulator = XelaEmulator(settings, source, clock)
+    view = None
+    if settings.view is not None:
+        from rig.mock.world import load_view
+
+        view = load_view(settings.view, "taxels")
+        rows, columns, _ = settings.device.shape
+        found = len(view(source.state()[1])) if isinstance(source, SharedWorld) else 0
+        if found != rows * columns:
+            raise ConfigError(
+                f"taxels: found {rows} rows x {columns} columns; allowed with this bench's world: "
+                f"its {found} taxels"
+            )
+    emulator = XelaEmulator(settings, source, clock, view)
     return Served("xela", emulator, emulator.faults.inject, settings.priority)

@@ -38,13 +38,16 @@ class Scan(NamedTuple):
     device_t: float
     """The server's time of the scan, seconds since 1970; NaN if not given."""
     counts: npt.NDArray[np.int32]
-    """Raw counts, (taxels, 3)."""
+    """Raw counts, (taxels, axes)."""
     description: dict[str, Any]
     """Other entries of the sensor's part, without the data."""
 
 
-def parse(text: str | bytes, sensor: str, taxels: int) -> Scan | None:
-    """Return the scan of a `sensor` in a message, of this number of taxels; None: the welcome."""
+def parse(text: str | bytes, sensor: str, taxels: int, axes: int = 3) -> Scan | None:
+    """Return the scan of a `sensor` in a message; None: it is the welcome.
+
+    `taxels` and `axes` are the numbers of the sensor's taxels and of the values of each.
+    """
     if text[:1] in ("4", "0", b"4", b"0"):
         raise ValueError(f"{text[:24]!r}: {_SOCKET_IO}")
     message = json.loads(text)
@@ -63,7 +66,7 @@ def parse(text: str | bytes, sensor: str, taxels: int) -> Scan | None:
     return Scan(
         message=number,
         device_t=_time(part, message),
-        counts=np.array(_values(part, taxels), np.int32).reshape(taxels, 3),
+        counts=np.array(_values(part, taxels, axes), np.int32).reshape(taxels, axes),
         description={key: value for key, value in part.items() if key != "data"},
     )
 
@@ -72,15 +75,15 @@ def _is_old(message: dict[str, Any]) -> bool:
     return any(isinstance(value, list) for value in message.values()) or "xyz" in message
 
 
-def _values(part: dict[str, Any], taxels: int) -> list[int]:
+def _values(part: dict[str, Any], taxels: int, axes: int) -> list[int]:
     data = part.get("data")
     if not isinstance(data, str):
-        raise ValueError(f"data: {type(data).__name__}; expected 3 x {taxels} values as text")
+        raise ValueError(f"data: {type(data).__name__}; expected {axes} x {taxels} values as text")
     values = data.split(",")
-    if len(values) != 3 * taxels:
+    if len(values) != axes * taxels:
         model = part.get("model")
         raise ValueError(
-            f"data: {len(values)} values; expected 3 x {taxels} taxels"
+            f"data: {len(values)} values; expected {axes} x {taxels} taxels"
             + (f"; it is a {model}: is it the sensor of the bench file?" if model else "")
         )
     # Not int(value, 16) alone, which accepts a sign, an underscore, 0x and blanks.

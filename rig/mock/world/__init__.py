@@ -8,20 +8,21 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.bench.worlds import AnalyticSpec, SimulatedSpec
+from rig.bench.worlds import Noise, WorldSpec
 from rig.core.config import build, read_yaml
-from rig.core.errors import ConfigError
-from rig.mock.world.analytic import AnalyticWorld, World, surface_of
-from rig.mock.world.picture import MarkerCamera
-from rig.mock.world.simulated import SimulatedView, SimulatedWorld
+from rig.mock.world.contact import World, tip_of
+from rig.mock.world.lab import Exposure
+from rig.mock.world.ladder import LadderSurface, LadderWorld
+from rig.mock.world.picture import MarkerPicture
+from rig.mock.world.sensors import markers_of, pad_of
+from rig.mock.world.simulated import Between, SimulatedSurface, SimulatedWorld
 
 __all__ = [
-    "AnalyticSpec",
-    "AnalyticWorld",
-    "SimulatedSpec",
+    "LadderWorld",
     "SimulatedWorld",
     "World",
     "WorldConfig",
+    "WorldSpec",
     "build_world",
     "load_view",
 ]
@@ -29,9 +30,9 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class WorldConfig:
-    """Settings of the processes of a World, and of its view."""
+    """Settings of the processes of a World, and of its views."""
 
-    world: AnalyticSpec | SimulatedSpec
+    world: WorldSpec
     contact_frame: tuple[float, ...] = field(metadata={"pose": True})
     """Pose (6,) in the base frame [m, rad]."""
     folder: Path
@@ -45,29 +46,56 @@ class WorldConfig:
     fault_port: int | None = None
     """Port for the hand of an operator, see `rig.mock.world.host`; None: none."""
 
+    def surface(self, points: np.ndarray) -> Callable[[np.void], np.ndarray]:
+        """Return what moves points (n, 2) [m] by a WORLD_STATE: displacement (n, 3) [m]."""
+        if self.world.tier == "layer":
+            return SimulatedSurface(self.world, self.folder, points)
+        return LadderSurface(self.world, self.indenter, points)
+
 
 def build_world(settings: WorldConfig) -> World:
     """Build the World of these settings."""
-    if isinstance(settings.world, SimulatedSpec):
+    if settings.world.tier == "layer":
         return SimulatedWorld(settings.world, settings.contact_frame, settings.folder)
-    return AnalyticWorld(settings.world, settings.contact_frame)
+    return LadderWorld(settings.world, settings.indenter, settings.contact_frame)
 
 
-def load_view(path: Path) -> Callable[[np.void], np.ndarray]:
-    """Return a function that renders a WORLD_STATE as a World's camera: RGB (480, 640, 3) uint8.
+def load_view(path: Path, kind: str = "camera") -> Callable[[np.void], np.ndarray]:
+    """Return a function of a WORLD_STATE: what a World's camera or taxels measure.
+
+    It returns RGB (480, 640, 3) uint8, or raw counts (taxels, 3) before noise.
 
     Args:
         path: JSON document of the World.
+        kind: camera or taxels.
 
     Raises:
-        ConfigError: The document is invalid, or the World has no camera.
+        ConfigError: The document is invalid, or the World has no such sensor.
     """
     settings = build(WorldConfig, read_yaml(path), str(path))
+    if kind == "taxels":
+        return _counts(settings)
     spec = settings.world
-    if isinstance(spec, SimulatedSpec):
-        return SimulatedView(spec, settings.folder)
-    if spec.markers is None:
-        raise ConfigError(f"{path}.world.markers: missing; allowed: a marker view")
-    grey = 0.0 if spec.noise is None else spec.noise.grey
-    camera = MarkerCamera(spec.markers, grey_noise=grey)
-    return lambda state: camera.image(surface_of(spec, state))
+    markers = markers_of(spec)
+    surface = settings.surface(markers.points)
+    picture = MarkerPicture(
+        background=spec.background,
+        ink=spec.ink,
+        light=spec.light,
+        grey_noise=(spec.noise or Noise()).grey,
+    )
+    exposure = Exposure(spec.lab)
+    return lambda state: exposure.passed(
+        picture.image(markers.outlines(surface(state))), int(state["t_ns"])
+    )
+
+
+def _counts(settings: WorldConfig) -> Callable[[np.void], np.ndarray]:
+    points, counts = pad_of(settings.world)
+    if settings.world.tier == "layer":
+        between = Between(settings.world, settings.folder)
+        return lambda state: np.clip(
+            between.at(int(state["t_ns"]), tip_of(state))[6:], 0, 65535
+        ).reshape(-1, 3)
+    surface = settings.surface(points)
+    return lambda state: counts(surface(state))

@@ -12,13 +12,15 @@ from typing import Any
 
 import numpy as np
 
+from rig.bench.worlds import Lab
 from rig.core.clock import Clock, SystemClock
 from rig.core.emulation import Emulator, Served
 from rig.core.mock_names import ARM_FILE, WORLD_FILE
 from rig.core.samples import ARM_TRUTH, WORLD_STATE
 from rig.core.shared_memory import SharedLatest
 from rig.mock.world import WorldConfig, build_world
-from rig.mock.world.analytic import World
+from rig.mock.world.contact import World
+from rig.mock.world.lab import Gauge
 from rig.mock.world.truth import TruthLog
 
 # The arm's cycle is 2 ms: polling five times per cycle delays the sensors by at most 0.4 ms.
@@ -29,9 +31,15 @@ class WorldHost(Emulator):
     """Steps a World along an arm's published motion, in its own thread."""
 
     def __init__(
-        self, world: World, arm: SharedLatest, states: SharedLatest, truth: TruthLog | None
+        self,
+        world: World,
+        arm: SharedLatest,
+        states: SharedLatest,
+        truth: TruthLog | None,
+        lab: Lab | None = None,
     ) -> None:
         super().__init__()
+        self._gauge = Gauge(lab or Lab())
         self._hand = np.zeros(3)
         self._mount = np.eye(3)
         self._world = world
@@ -86,9 +94,10 @@ class WorldHost(Emulator):
             if record is None:
                 continue
             state = self._state(int(record["t_ns"]), record["pose"])
-            self._states.write(state)
             if self._truth is not None:
                 self._truth.append(state)
+            state["wrench"] = self._gauge.measured(state)
+            self._states.write(state)
 
 
 def emulate(settings: WorldConfig, _: Clock) -> Served:
@@ -99,5 +108,6 @@ def emulate(settings: WorldConfig, _: Clock) -> Served:
         SharedLatest.attach(folder / ARM_FILE, ARM_TRUTH),
         SharedLatest.attach(folder / WORLD_FILE, WORLD_STATE, writable=True),
         TruthLog(settings.truth) if settings.truth else None,
+        settings.world.lab,
     )
     return Served("world", host, host.apply)

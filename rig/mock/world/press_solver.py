@@ -18,19 +18,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from recorder.command_line.errors import EXIT_DEVICE_LOST
-from rig.bench.worlds import SimulatedSpec
+from rig.bench.worlds import WorldSpec
 from rig.core.clock import SECOND_NS, Clock, Pacer
 from rig.core.emulation import Emulator, Served
-from rig.core.errors import ConfigError
 from rig.core.mock_names import ARM_FILE, PRESS_FILE, SURFACE_FILE
 from rig.core.realtime import SOLVER_PRIORITY
-from rig.core.samples import ARM_TRUTH, PRESS_STATE, surface_state
+from rig.core.samples import ARM_TRUTH, press_state, surface_state
 from rig.core.shared_memory import SharedLatest
 from rig.mock.world import WorldConfig
-from rig.mock.world.simulated import ContactFrame, live_sensor, note_on
+from rig.mock.world.contact import ContactFrame
+from rig.mock.world.sensors import dome_of, live_sensor, note_on, row_of
 
 if TYPE_CHECKING:
-    from rig.mock.world.simulated import LiveSensor
+    from rig.mock.world.sensors import LiveSensor
 
 logger = logging.getLogger(__name__)
 
@@ -40,10 +40,11 @@ class Shared:
 
     def __init__(self, folder: Path, live: LiveSensor) -> None:
         self._live = live
-        self._presses = SharedLatest.attach(folder / PRESS_FILE, PRESS_STATE, writable=True)
+        solved = press_state(len(live.answer.values))
+        self._presses = SharedLatest.create(folder / PRESS_FILE, solved)
         shape = live.press.grid.shape
         self._surfaces = SharedLatest.create(folder / SURFACE_FILE, surface_state(shape))
-        self._press: np.void = np.zeros(1, PRESS_STATE)[0]
+        self._press: np.void = np.zeros(1, solved)[0]
         effects = live.press.scene.effects
         self._press["friction"] = effects.friction.coefficient if effects.friction else 0.0
         self._surface: np.void = np.zeros(1, surface_state(shape))[0]
@@ -78,14 +79,14 @@ class Solver(Emulator):
         frame: ContactFrame,
         arm: SharedLatest,
         shared: Shared,
-        spec: SimulatedSpec,
+        spec: WorldSpec,
         clock: Clock,
     ) -> None:
         super().__init__()
         self._live, self._frame, self._arm, self._shared = live, frame, arm, shared
-        self._pacer = Pacer(clock, spec.rate_hz)
+        self._pacer = Pacer(clock, spec.solver.rate_hz)
         self._clock = clock
-        self._behind_ns = round(spec.behind * SECOND_NS)
+        self._behind_ns = round(spec.solver.behind * SECOND_NS)
         self._before_ns: int | None = None
         self.failed: Exception | None = None
         """Error that ended the solver, if any."""
@@ -133,7 +134,7 @@ class Solver(Emulator):
             if passed_ns > self._behind_ns:
                 raise TimeoutError(
                     f"{1e-6 * passed_ns:.0f} ms between two solutions in contact; allowed: "
-                    f"{1e-6 * self._behind_ns:.0f} ms (world.behind_ms); the machine is "
+                    f"{1e-6 * self._behind_ns:.0f} ms (world.solver.behind_ms); the machine is "
                     "too slow or too busy for this grid"
                 )
         self._before_ns = t_ns
@@ -156,14 +157,11 @@ class Solver(Emulator):
 def emulate(settings: WorldConfig, clock: Clock) -> Served:
     """Return the solver."""
     spec = settings.world
-    if not isinstance(spec, SimulatedSpec):
-        raise ConfigError(f"world.kind: found {spec.KIND!r}; allowed: 'simulated'")
     live, note = live_sensor(spec, settings.indenter), note_on(spec)
     shared = Shared(settings.folder, live)
     arm = SharedLatest.attach(settings.folder / ARM_FILE, ARM_TRUTH)
-    solver = Solver(
-        live, ContactFrame(settings.contact_frame, spec.dome_radius), arm, shared, spec, clock
-    )
+    frame = ContactFrame(settings.contact_frame, dome_of(row_of(spec), spec.tier))
+    solver = Solver(live, frame, arm, shared, spec, clock)
 
     def conclude() -> int:
         shared.close()

@@ -6,23 +6,16 @@ import numpy as np
 
 from rig.core.samples import WORLD_STATE
 
-_FIELDS = ("t_ns", "pose", "depth", "contact", "shear", "wrench")
-# One logged state: WORLD_STATE without taxels.
-TRUTH = np.dtype([(name, WORLD_STATE[name]) for name in _FIELDS])
-
 
 class TruthLog:
-    """Appends states to a file of plain TRUTH records."""
+    """Appends states to a file of plain WORLD_STATE records."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("ab")
-        self._record = np.zeros((), TRUTH)
 
     def append(self, state: np.void) -> None:
         """Add one WORLD_STATE."""
-        for name in _FIELDS:
-            self._record[name] = state[name]
-        self._file.write(self._record.tobytes())
+        self._file.write(state.tobytes())
 
     def close(self) -> None:
         """Write buffered records; may be called twice."""
@@ -34,8 +27,8 @@ class Truth:
 
     def __init__(self, path: Path) -> None:
         content = path.read_bytes()
-        whole = len(content) - len(content) % TRUTH.itemsize
-        self.records = np.frombuffer(content[:whole], TRUTH)
+        whole = len(content) - len(content) % WORLD_STATE.itemsize
+        self.records = np.frombuffer(content[:whole], WORLD_STATE)
 
     def _at(self, name: str, t_ns: np.ndarray) -> np.ndarray:
         # Times are relative to the first: float64 would round nanoseconds since boot.

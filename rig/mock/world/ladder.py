@@ -1,0 +1,92 @@
+"""LadderWorld: the paper's experiment by superposed presses, light enough for every cycle."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rig.bench.worlds import Grip, WorldSpec
+from rig.core.clock import SECOND_NS
+from rig.mock.world.contact import ContactFrame, tip_of
+from rig.mock.world.lab import Skin
+from rig.mock.world.sensors import dome_of, ladder_press, row_of
+
+
+class LadderWorld:
+    """Moves a press of `sim.ladder` along the arm's path.
+
+    Args:
+        spec: The World.
+        indenter: Name of the indenter on the arm.
+        contact_frame: Pose (6,) of the contact frame in the base frame [m, rad].
+    """
+
+    def __init__(self, spec: WorldSpec, indenter: str, contact_frame: tuple[float, ...]) -> None:
+        dome = dome_of(row_of(spec), spec.tier)
+        self._frame = ContactFrame(contact_frame, dome, spec.gauge_depth)
+        self._press = ladder_press(spec, indenter)
+        self._held = None if spec.grip is None else Held(spec.grip)
+        self._skin = Skin(spec.lab)
+        self._t_ns: int | None = None
+
+    def step(self, t_ns: int, pose: np.ndarray) -> np.void:
+        """Return the next state.
+
+        Args:
+            t_ns: Time of the pose [ns].
+            pose: TCP in the base frame (6,) [m, rad].
+        """
+        tip = self._frame.tip(pose)
+        if self._held is not None:
+            tip = tip + self._held.given
+        seconds = 0.0 if self._t_ns is None else (t_ns - self._t_ns) / SECOND_NS
+        self._t_ns = t_ns
+        self._press.move(tip, seconds)
+        wrench = self._skin.wrench(self._press.wrench, tip, seconds)
+        if self._held is not None:
+            self._held.bear(-wrench[:3])
+        return self._frame.state(t_ns, pose, tip, self._press.shear, wrench)
+
+
+class Held:
+    """Displacement of an indenter between a gripper's fingers."""
+
+    def __init__(self, grip: Grip) -> None:
+        self._grip = grip
+        self._slid = np.zeros(3)
+        self.given: np.ndarray = np.zeros(3)
+        """Displacement from its place in the fingers (3,) [m]."""
+
+    def bear(self, force: np.ndarray) -> None:
+        """Give way to a force on the indenter (3,) [N]; beyond the grip it slides and stays there.
+
+        The displacement follows with half of its change, so that a skin as stiff as the grip does
+        not make it oscillate from one cycle to the next.
+        """
+        most, size = self._grip.slip, math.hypot(*force)
+        if size > most:
+            self._slid += force * ((size - most) / size / self._grip.stiffness)
+            force = force * (most / size)
+        self.given += 0.5 * (self._slid + force / self._grip.stiffness - self.given)
+
+
+class LadderSurface:
+    """Displacement of a skin's points for the states that a LadderWorld publishes.
+
+    It presses along the tips of the states that it is given: the way between two is straight.
+    """
+
+    def __init__(self, spec: WorldSpec, indenter: str, points: np.ndarray) -> None:
+        self._press = ladder_press(spec, indenter)
+        self._points = points
+        self._t_ns: int | None = None
+
+    def __call__(self, state: np.void) -> np.ndarray:
+        """Return the displacement (n, 3) [m] of the points."""
+        t_ns = int(state["t_ns"])
+        if t_ns != self._t_ns:
+            seconds = 0.0 if self._t_ns is None else (t_ns - self._t_ns) / SECOND_NS
+            self._t_ns = t_ns
+            self._press.move(tip_of(state), max(seconds, 0.0))
+        return np.asarray(self._press.markers(self._points))
