@@ -83,7 +83,7 @@ def taxel_masks(
     if preset.rows_from_top:
         rows = change.reshape(*change.shape[:-2], _SIDE, _SIDE, 3)
         change = (rows[..., ::-1, :, :] * [1.0, -1.0, 1.0]).reshape(change.shape)
-    return draw_discs(change)
+    return draw_discs(change, preset.discs)
 
 
 # Depths and positions that nobody knows; `archive join` refuses them.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from learning.config import READER, preset_names, preset_path, read_one_of
 from learning.errors import LearningError
 from recorder.archive import SHADING_SIDE, SHADING_ZERO
-from recorder.markers import HEIGHT, WIDTH, find_blobs
+from recorder.markers import HEIGHT, WIDTH, DiscMap, find_blobs
 
 Channel = Literal["grey", "brightest", "darkest"]
 Step = Literal["open", "close", "dilate", "erode"]
@@ -229,6 +229,8 @@ class TaxelPreset:
     """Names of the sensors in sessions that use it by default."""
     rows_from_top: bool = False
     """True if taxel 0 is at the upper left and y counts point down; else lower left and up."""
+    discs: DiscMap = DiscMap()
+    """Map from counts to discs."""
 
     def __post_init__(self) -> None:
         if self.mm_per_px is not None:

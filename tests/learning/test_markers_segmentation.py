@@ -20,7 +20,15 @@ from learning.markers import (
     read_preset,
 )
 from learning.markers.frames import taxel_masks
-from learning.markers.segment import BlurDifference, ColourBelow, Contrast, Dark, Morphology, Region
+from learning.markers.segment import (
+    BlurDifference,
+    ColourBelow,
+    Contrast,
+    Dark,
+    Morphology,
+    Region,
+    built_preset,
+)
 from recorder.markers import draw_discs, find_blobs, marker_centres, place_discs
 
 OWN = "kind: camera\ndescription: a\ndetectors: "
@@ -193,3 +201,7 @@ def test_taxels_are_drawn_less_those_without_contact() -> None:
     )
     centre, _ = place_discs(mirrored)
     assert centre[9, 1] < 288 - 10
+    content = {"kind": "taxels", "description": "", "discs": {"shear_per_count": 1e-4}}
+    half = built_preset(content, "own")
+    halved = taxel_masks(counts + no_contact, no_contact, half)
+    np.testing.assert_array_equal(halved, draw_discs(counts * (0.5, 0.5, 1.0)))

@@ -106,7 +106,7 @@ OPTIONS = {
     "markers s.zarr": "the following arguments are required: --out",
     "markers x.zarr --out m.markers.zarr": "x.zarr",
     "markers s.zarr --out m.markers.zarr --preset /none.yaml": "no such file",
-    "markers s.zarr --out m.markers.zarr --preset no": "preset: found 'no'; known: bench-gelsig",
+    "markers s.zarr --out m.markers.zarr --preset no": "preset: found 'no'; known: bench-digit,",
     "markers s.zarr --out m.markers.zarr --mm-per-px -1": "mm_per_px: found -1.0, expected more",
     "markers s.zarr --out m.markers.zarr --sam-encoder x": "found one; allowed: both or neither",
     "compensate a.markers.zarr --out c.json --pairs dots:digit": "no sensor digit; known: dots,",
