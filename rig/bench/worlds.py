@@ -79,7 +79,7 @@ _LAB_MOST = {
 
 @dataclass(frozen=True, slots=True)
 class Lab:
-    """What labs see and a clean mock does not: each effect is off by default.
+    """Effects that labs see and a clean mock does not, each off by default.
 
     Raises:
         ValueError: A value is out of range.

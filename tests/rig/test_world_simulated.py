@@ -126,7 +126,7 @@ def test_a_world_goes_on_along_the_slope_of_the_last_solution() -> None:
     assert extrapolated(last, 0, np.array([0.0, 0.0, -1e-4]))[2] == pytest.approx(-0.2)
 
 
-def between(folder: Path) -> Between:
+def solution_in(folder: Path) -> Between:
     return Between(WorldSpec("uskin", solver=SolverSettings(rate_hz=62.5)), folder)
 
 
@@ -135,25 +135,25 @@ def test_a_contact_never_pulls_and_drags_no_more_than_friction_allows(tmp_path: 
     slope[2, 2], slope[0, 0] = 2000.0, 4000.0
     values = np.zeros(54)
     values[2], values[4] = -0.5, 0.01
-    text_between = between(tmp_path)
+    solution = solution_in(tmp_path)
     last = solved(t_ns=1, tip=(0, 0, -2e-4), touching=1, values=values, slope=slope)
-    text_between.take(last, 1, last["tip"])
-    assert text_between.at(1, np.array([0.0, 0.0, -2e-4]))[2] == -0.5
+    solution.take(last, 1, last["tip"])
+    assert solution.at(1, np.array([0.0, 0.0, -2e-4]))[2] == -0.5
     # Half a millimetre up is more than the depth of the contact.
-    assert not text_between.at(1, np.array([0.0, 0.0, 3e-4]))[:6].any()
-    assert not text_between.at(1, np.array([0.0, 0.0, 1e-4]))[:6].any()
-    dragged = text_between.at(1, np.array([1e-3, 0.0, -2e-4]))
+    assert not solution.at(1, np.array([0.0, 0.0, 3e-4]))[:6].any()
+    assert not solution.at(1, np.array([0.0, 0.0, 1e-4]))[:6].any()
+    dragged = solution.at(1, np.array([1e-3, 0.0, -2e-4]))
     assert dragged[0] == pytest.approx(0.25)
 
 
 def test_a_new_solution_comes_in_without_a_jump(tmp_path: Path) -> None:
-    text_between, tip = between(tmp_path), np.array([0.0, 0.0, -1e-3])
+    solution, tip = solution_in(tmp_path), np.array([0.0, 0.0, -1e-3])
     values = np.zeros(54)
     for t_ms, force in ((10, -1.0), (26, -1.6)):
         values[2] = force
         last = solved(t_ns=t_ms * MS, tip=tip, touching=1, values=values)
-        text_between.take(last, (t_ms + 5) * MS, tip)
-    found = [text_between.at(ms * MS, tip)[2] for ms in (31, 39, 47, 60)]
+        solution.take(last, (t_ms + 5) * MS, tip)
+    found = [solution.at(ms * MS, tip)[2] for ms in (31, 39, 47, 60)]
     np.testing.assert_allclose(found, (-1.0, -1.3, -1.6, -1.6))
 
 

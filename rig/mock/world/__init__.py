@@ -93,9 +93,9 @@ def load_view(path: Path, kind: str = "camera") -> Callable[[np.void], np.ndarra
 def _counts(settings: WorldConfig) -> Callable[[np.void], np.ndarray]:
     points, counts = pad_of(settings.world)
     if settings.world.tier == "layer":
-        between = Between(settings.world, settings.folder)
+        solution = Between(settings.world, settings.folder)
         return lambda state: np.clip(
-            between.at(int(state["t_ns"]), tip_of(state))[6:], 0, 65535
+            solution.at(int(state["t_ns"]), tip_of(state))[6:], 0, 65535
         ).reshape(-1, 3)
     surface = settings.surface(points)
     return lambda state: counts(surface(state))

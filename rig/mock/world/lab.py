@@ -1,4 +1,4 @@
-"""What labs see and a clean mock does not: one small piece for each setting of `worlds.Lab`."""
+"""Effects that labs see and a clean mock does not: one small piece for each setting of `Lab`."""
 
 from __future__ import annotations
 
