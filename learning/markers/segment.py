@@ -229,7 +229,7 @@ class TaxelPreset:
     """Names of the sensors in sessions that use it by default."""
     rows_from_top: bool = False
     """True if taxel 0 is at the upper left and y counts point down; else lower left and up."""
-    discs: DiscMap = DiscMap()
+    discs: DiscMap = field(default_factory=DiscMap)
     """Map from counts to discs."""
 
     def __post_init__(self) -> None:
