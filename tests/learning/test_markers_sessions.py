@@ -320,7 +320,7 @@ def test_shading_taken_for_markers_is_refused_unless_they_are_said_to_be_irregul
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"sensor": "mine"}, "mine: no preset is assigned to it; allowed: bench-digit, bench-gelsight"),
+        ({"sensor": "mine"}, "mine: no preset is assigned to it; allowed: bench-digit"),
         ({"preset_name": "uskin"}, "preset uskin: is for taxels; gelsight has camera"),
         ({"preset_name": OWN}, r"gelsight\.mm_per_px: not in preset dark-markers"),
         ({"preset_name": "nothing.yaml", "mm_per_px": 0.1}, r"sphere\.zarr: preset nothing\.yaml"),

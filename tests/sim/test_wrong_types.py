@@ -247,9 +247,7 @@ WRONG: dict[str, Callable[[], object]] = {
     "posterior.correlations:": lambda: Posterior(
         ("modulus", "thickness"), (0.1, 0.1), ((1.0, 0.5), (0.4, 1.0))
     ),
-    "uskin.signal: taxels; al": lambda: LiveMarkers(
-        sensor("uskin"), PixelGrid(sensor("uskin").body, 32)
-    ),
+    "uskin.signal: taxels; al": lambda: LiveMarkers(sensor("uskin")),
     "tip: array([ 0.,  0., nan]); allowed: 3": lambda: live().move(np.array([0.0, 0.0, nan]), 0.02),
     "tip: array([0., 0.]); allowed: 3 finite numbers [m]": lambda: live().move(np.zeros(2), 0.02),
     "duration: -0.02 s; allowed: 0 or more": lambda: live().move(np.zeros(3), -0.02),
