@@ -33,7 +33,7 @@ def parsed(folder: Path, *more: str, bench: str = f"--bench={BENCH}") -> argpars
     return options
 
 
-LAB = "mock: false\nworld: null\nsimulated: null\n"
+LAB = "mock: false\nworld: null\n"
 WEIGHT, LENGTH = (
     next(ask for step in setup.STEPS for ask in step.asks if ask.name == name)
     for name in ("weight_g", "length_mm")
