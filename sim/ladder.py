@@ -1,4 +1,4 @@
-"""World without a solver: presses by a ladder of solutions, once per indenter and skin.
+"""Presses without a solver: superposed from a ladder of solved ones, per indenter and skin.
 
     ladder = Ladder.of("prism", sensor("r6"))
     press = LadderPress(ladder, friction=0.5)
@@ -9,22 +9,27 @@ A `Ladder` is a few normal presses by tier `layer`, each deeper than the one bef
 else is superposed. In shear a contact of rising pressure p(d) slips from its rim inwards, and its
 shear traction is mu (p(d) - p(d*)): that of a deeper press less that of a lighter one (Jaeger,
 J. Tribol. 120 (1998) 677; Ciavarella, Int. J. Solids Struct. 35 (1998) 2349). As a sum over the
-steps of the ladder it is a set of springs, each with a slider of Coulomb's limit, side by side
-(Iwan, J. Appl. Mech. 33 (1966) 893): a press keeps one place per slider, and loading, unloading and
-turns follow Masing's rule without a case for each.
+steps of the ladder these are springs side by side, each with a slider of Coulomb's limit (Iwan,
+J. Appl. Mech. 33 (1966) 893): a press keeps one force per slider, and loading, unloading and turns
+follow Masing's rule without a case for each. How far it is off: docs/reference/fidelity.md.
 """
 
 import hashlib
+import io
+import json
 import os
-import tempfile
+import zipfile
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
 
 from sim.indenters import Indenter, named
 from sim.layer.solver import LayerPress
@@ -38,18 +43,22 @@ Array = NDArray[np.floating[Any]]
 STEPS, POWER = 16, 1.3
 # Deepest press over the sensor's depth.
 BEYOND = 1.15
-# Pixels across the body, and residual of the contact.
-GRID, TOLERANCE = 128, 2e-3
-# Friction of the presses of which a ladder is made.
-FRICTION = 0.5
+# Pixels across the body, residual of the contact, and friction of the presses.
+GRID, TOLERANCE, FRICTION = 128, 2e-3, 0.5
+# Level of no traction along x, y and z in files.
+ZERO = np.array([127, 127, 255])[:, None, None]
 # Pixels per point of the displacement fields along an axis.
 COARSE = 2
-# Stated error of a force with a table of `fem`, and without one, over the force.
-MENDED, UNMENDED = 0.1, 0.25
 # Least growth of the tangential stiffness from one step to the next, over the stiffness.
 LEAST = 1e-3
-# Ladders that come with the simulator.
+# Force of a skin that counts as recovered [N].
+RESTED = 1e-6
+# Error of a force by a table of `fem`, beside that of the table, over the force; and the least one
+# of an indenter without a table, for which the middle of the others stands in.
+INTERPOLATED, ANOTHER = 0.03, 0.15
+# Ladders that come with the simulator, a file per skin; and `fem` over `layer` against depth.
 PACKAGED = Path(__file__).parent / "ladders"
+TABLE = PACKAGED / "fem.json"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,106 +74,143 @@ class Presses:
     traction: Array
     """Traction on the body (n, 3, X, Y) [Pa]."""
 
+    @classmethod
+    def read(cls, file: Mapping[str, Any], key: str = "") -> Self:
+        """Return the presses of `packed`, whose names begin with `key`."""
+        low, high, shape = file[f"{key}window"]
+        levels = file[f"{key}levels"].astype(np.float32)
+        traction = np.zeros((*levels.shape[:2], *shape), np.float32)
+        traction[..., low[0] : high[0], low[1] : high[1]] = (levels - ZERO) * file[f"{key}unit"]
+        return cls(*(file[f"{key}{name}"] for name in ("depth", "wrench", "height")), traction)
+
+    def packed(self, key: str = "") -> dict[str, Any]:
+        """Return arrays for a file; tractions have 8 bits and are cut to where they are."""
+        touched = np.argwhere(self.traction.any(axis=(0, 1)))
+        low, high = touched.min(axis=0), touched.max(axis=0) + 1
+        some = self.traction[..., low[0] : high[0], low[1] : high[1]]
+        unit = np.maximum(np.abs(some).max(axis=(2, 3), keepdims=True), 1e-30) / ZERO
+        arrays = {
+            "depth": self.depth,
+            "wrench": self.wrench,
+            "height": self.height,
+            "window": np.stack([low, high, self.traction.shape[2:]]),
+            "levels": np.round(some / unit + ZERO).astype(np.uint8),
+            "unit": unit.astype(np.float32),
+        }
+        return {f"{key}{name}": array for name, array in arrays.items()}
+
 
 class Ladder:
     """Presses of an indenter into a skin at the top's middle, and the fields of its surface."""
 
-    def __init__(self, presses: Presses, body: Body, ratio: Array, deviation: float) -> None:
+    def __init__(self, presses: Presses, body: Body, ratio: Array, error: Array) -> None:
         """Superpose the presses.
 
         Args:
             presses: Solutions for a modulus of 1 Pa.
             body: The skin.
             ratio: True force over that of the presses (n,).
-            deviation: Stated error of the force, over the force.
+            error: Stated error of the force of each press, over the force (n,).
         """
-        self.body, self.deviation = body, deviation
-        self._presses = presses
+        self.body = body
         self.depths: Array = np.concatenate([[0.0], presses.depth])
         """Depths of the ladder, from 0 (n + 1,) [m]."""
         self.depth_max = float(self.depths[-1])
         """Depth of the deepest step [m]."""
         scale = ratio * body.modulus
         self._forces = np.concatenate([[0.0], -presses.wrench[:, 2] * scale])
-        fine = np.linspace(0.0, 1.0, 8 * STEPS + 1) ** POWER * self.depth_max
-        self._fine = fine
-        self._fine_force = _rising(self.depths, self._forces)(fine)
+        self._fine = np.linspace(0.0, 1.0, 8 * STEPS + 1) ** POWER * self.depth_max
+        self._fine_force = PchipInterpolator(self.depths, self._forces)(self._fine)
+        self._last = float(np.diff(self._fine_force[-2:])[0] / np.diff(self._fine[-2:])[0])
+        self._error = error
         self.fields = Fields.of(presses, body)
+        """Displacement of the top."""
         sideways = _growing(self.fields.stiffness * scale[:, None])
-        self.stiffness: Array = sideways.mean(axis=1)
-        """Tangential stiffness of the contact from each step to the next (n,) [N/m]."""
-        self.spring: Array = np.diff(self.stiffness, prepend=0.0)
+        stiffness = sideways.mean(axis=1)
+        self.spring: Array = np.diff(stiffness, prepend=0.0)
         """Stiffness of each spring (n,) [N/m]."""
         self.sideways: Array = np.diff(sideways, axis=0, prepend=0.0)
         """Stiffness of each spring along x, along y (n, 2) [N/m]."""
-        self.start: Array = np.concatenate(
-            [[0.0], np.cumsum(np.diff(self._forces)[:-1] / self.stiffness[:-1])]
-        )
+        travel = np.concatenate([[0.0], np.cumsum(np.diff(self._forces) / stiffness)])
+        self.start: Array = travel[:-1]
         """Travel, as of `travel`, from which each spring is pressed (n,) [m]."""
+        self._fine_travel = np.interp(self._fine_force, self._forces, travel)
+        self._last_travel = self._last / float(stiffness[-1])
+        pressed = -presses.wrench[:, 2:3]
+        units = np.column_stack([presses.wrench / pressed, presses.height])
+        self._units: Array = np.vstack([units[:1], units])
+        self._sides = _sides(presses, _skin(body))
 
     @classmethod
     def of(cls, indenter: Indenter | str, row: SimulatedSensor, keep: Path | None = None) -> Self:
         """Return the ladder of an indenter, by its name or itself, on a sensor's skin.
 
         It is read if it comes with the simulator or was kept, otherwise solved, in a few seconds,
-        and kept.
+        and kept. Skins that differ in their modulus only share a ladder.
 
         Args:
             indenter: Indenter, or the name of one of the paper's.
             row: Sensor with the skin.
             keep: Folder for ladders that are solved; None: the user's cache.
+
+        Raises:
+            SceneError: The name is unknown, or tier `layer` does not support the body.
+            SimulationDiverged: A press has no solution.
         """
         shape = named(indenter) if isinstance(indenter, str) else indenter
         still = Motion(tip=((0.0, 0.0, 0.0),), time=(0.0,))
-        felt = replace(row.scene(shape, still).indenter, name="")
-        presses, ratio, deviation = _presses(felt, row, keep or _cache())
-        return cls(presses, row.body, ratio, deviation)
+        felt = row.scene(shape, still).indenter
+        presses, key = _presses(felt, row, keep or _cache())
+        return cls(presses, row.body, *_by_fem(key, _name(row.body), presses.depth))
 
     def normal(self, depth: float) -> float:
         """Return the static force at `depth` [m], in the top's middle [N]."""
-        beyond = max(depth - self.depth_max, 0.0)
-        last = (self._fine_force[-1] - self._fine_force[-2]) / (self._fine[-1] - self._fine[-2])
-        return float(np.interp(depth, self._fine, self._fine_force) + last * beyond)
+        beyond = self._last * max(depth - self.depth_max, 0.0)
+        return float(np.interp(depth, self._fine, self._fine_force)) + beyond
 
     def interval(self, depth: float) -> tuple[float, float]:
         """Return the least and the largest force expected at `depth` [m] [N]."""
-        force = self.normal(depth)
-        return (1 - self.deviation) * force, (1 + self.deviation) * force
+        force, error = self.normal(depth), float(np.interp(depth, self.depths[1:], self._error))
+        error *= max(1.0, depth / self.depth_max) ** 2
+        return max(0.0, 1 - error) * force, (1 + error) * force
 
     def deepest(self, force: float) -> float:
-        """Return the depth at which the static force reaches `force` [N] [m], at most infinity."""
-        if force <= 0:
-            return 0.0
-        most = float(self._fine_force[-1])
-        if force >= most:
-            last = (most - self._fine_force[-2]) / (self._fine[-1] - self._fine[-2])
-            return self.depth_max + (force - most) / float(last)
-        return float(np.interp(force, self._fine_force, self._fine))
+        """Return the depth at which the static force reaches `force` [N] [m]."""
+        beyond = max(force - float(self._forces[-1]), 0.0) / self._last
+        return float(np.interp(force, self._fine_force, self._fine)) + beyond
 
-    def travel(self, force: float) -> float:
-        """Return the sideways travel over friction that `force` [N] bears before it slips [m]."""
-        at = int(np.clip(np.searchsorted(self._forces, force) - 1, 0, len(self.start) - 1))
-        return float(self.start[at] + (force - self._forces[at]) / self.stiffness[at])
+    def travel(self, depth: float) -> float:
+        """Return how far a contact at `depth` [m] moves sideways until all of it slips [m].
 
-    def lateral(self, depth: float) -> tuple[Array, float]:
-        """Return the wrench over its normal force (6,) and the height of the contact [m]."""
-        unit, height = self._units
+        Over the coefficient of friction.
+        """
+        beyond = self._last_travel * max(depth - self.depth_max, 0.0)
+        return float(np.interp(depth, self._fine, self._fine_travel)) + beyond
+
+    def unit(self, depth: float) -> Array:
+        """Return wrench over normal force, then the height of the pressed skin [m] (7,)."""
         at, part = self.place(depth)
-        return (1 - part) * unit[at] + part * unit[at + 1], (1 - part) * height[at] + part * height[
-            at + 1
-        ]
+        return np.asarray((1 - part) * self._units[at] + part * self._units[at + 1])
+
+    def on_body(self, tip: Array) -> float:
+        """Return the share of the force that the body bears under a tip at (3,) [m].
+
+        The rest of the pressure is beside the body. That a skin is softer at its side is not in it.
+        """
+        share = 1.0
+        at = max(0, min(int(np.searchsorted(self.depths, -tip[2])), len(self.start)) - 1)
+        halves = self.body.size_x / 2, self.body.size_y / 2
+        for place, half, (edges, below) in zip(tip[:2], halves, self._sides, strict=True):
+            if abs(place) + edges[-1] > half:
+                first, last = np.interp([-half - place, half - place], edges, below[at])
+                share *= float(last - first)
+        return share
 
     def place(self, depth: float) -> tuple[int, float]:
         """Return the step below `depth` [m] and the fraction of the way to the next one."""
-        at = int(np.clip(np.searchsorted(self.depths, depth) - 1, 0, len(self.depths) - 2))
+        at = max(0, min(int(np.searchsorted(self.depths, depth)) - 1, len(self.start) - 1))
         below, above = self.depths[at : at + 2]
-        return at, float(np.clip((depth - below) / (above - below), 0.0, 1.0))
-
-    @cached_property
-    def _units(self) -> tuple[Array, Array]:
-        unit = self._presses.wrench / -self._presses.wrench[:, 2:3]
-        height = self._presses.height
-        return np.vstack([unit[:1], unit]), np.concatenate([height[:1], height])
+        return at, min(max((depth - below) / (above - below), 0.0), 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,89 +224,94 @@ class Fields:
     normal: Array
     """Displacement by each press, after none (n + 1, X, Y, 3) [m], float32."""
     sideways: Array
-    """Displacement by a contact of each step that moves by 1 m along x, along y: that of each
-    less that of the step before (n, 2, X, Y, 3), float32."""
+    """Displacement by the contact of each step that moves by 1 m along x, along y, less that of
+    the step before (n, 2, X, Y, 3), float32."""
     stiffness: Array
     """Tangential stiffness of each contact along x, along y, for a modulus of 1 Pa (n, 2) [N/m]."""
 
     @classmethod
     def of(cls, presses: Presses, body: Body) -> Self:
-        """Return the fields of some presses."""
+        """Return the fields of some presses.
+
+        A contact that moves sideways as a whole has the tractions by which its next step presses:
+        those of a flat punch of its outline.
+        """
         skin = _skin(body)
         grid = PixelGrid(skin, GRID)
-        period, (nx, ny) = grid.period, grid.shape
         symbol = (skin.modulus * grid.symbol).astype(np.float32)
-        traction = np.zeros((*presses.traction.shape[:2], *period), np.float32)
-        traction[..., :nx, :ny] = presses.traction
+        traction = np.zeros((*presses.traction.shape[:2], *grid.period), np.float32)
+        traction[..., : grid.shape[0], : grid.shape[1]] = presses.traction
         waves = scipy.fft.rfft2(traction)
         added = np.diff(-waves[:, 2], axis=0, prepend=0)
-        total = -np.diff(presses.traction[:, 2].sum(axis=(1, 2)), prepend=0)
-        weight = np.full(symbol.shape[2], 2.0)
-        weight[0] = weight[-1] = 1.0
-        power = np.square(np.abs(added)) * weight
-        moved = np.stack([(power * one).sum(axis=(1, 2)) for one in symbol[:2]])
-        moved = moved / (np.prod(period) * total)
-        low = [count // COARSE for count in period]
-        reach = [
-            min(3 * count // (2 * COARSE), most) for count, most in zip((nx, ny), low, strict=True)
-        ]
-
-        def long(spectrum: NDArray[Any]) -> NDArray[Any]:
-            half = low[0] // 2
-            some = spectrum[..., : low[1] // 2 + 1]
-            return np.concatenate([some[..., :half, :], some[..., -half:, :]], axis=-2)
-
-        xx, yy, zz, xy = long(symbol[:4])
-        xz, yz = 1j * long(symbol[4:])
-        waves, added = long(waves), long(added)
-
-        def back(spectrum: NDArray[Any]) -> Array:
-            return np.asarray(scipy.fft.irfft2(spectrum, s=low) / COARSE**2, np.float32)
-
-        def displacement(tx: Any, ty: Any, tz: Any) -> Array:
-            parts = (
-                xx * tx + xy * ty + xz * tz,
-                xy * tx + yy * ty + yz * tz,
-                zz * tz - xz * tx - yz * ty,
-            )
-            whole = np.stack([back(part) for part in parts], axis=-1)
-            shift = [(first - n // COARSE) // 2 for first, n in zip(reach, (nx, ny), strict=True)]
-            return np.roll(whole, shift, (-3, -2))[..., : reach[0], : reach[1], :]
-
-        # Samples lie at the first pixel of each block.
-        axes = [
+        pressed = np.diff(-presses.traction[:, 2].sum(axis=(1, 2)), prepend=0)
+        twice = np.full(symbol.shape[2], 2.0)
+        twice[0] = twice[-1] = 1.0
+        # Mean displacement, weighted by the traction (n, 2), by Parseval's theorem.
+        moved = np.einsum("nij,kij->nk", np.square(np.abs(added)) * twice, symbol[:2])
+        moved /= np.prod(grid.period) * pressed[:, None]
+        symbol, waves, added = (_long(one, grid) for one in (symbol, waves, added))
+        normal = _displacement(grid, symbol, waves)
+        axes = [_with_zero(added / moved[:, k, None, None], k) for k in (0, 1)]
+        sideways = np.stack([_displacement(grid, symbol, axis) for axis in axes], axis=1)
+        x, y = (
             (np.arange(count) - count / 2) * COARSE * pixel + pixel / 2
-            for count, pixel in zip(reach, grid.pixel, strict=True)
-        ]
-        normal = displacement(waves[:, 0], waves[:, 1], waves[:, 2])
-        normal = np.concatenate([np.zeros_like(normal[:1]), normal])
-        sideways = np.stack(
-            [
-                displacement(added / moved[0][:, None, None], 0, 0),
-                displacement(0, added / moved[1][:, None, None], 0),
-            ],
-            axis=1,
+            for count, pixel in zip(normal.shape[1:3], grid.pixel, strict=True)
         )
-        sideways = np.diff(sideways, axis=0, prepend=np.zeros_like(sideways[:1]))
-        stiffness = (total * grid.area / moved).T
-        return cls(axes[0], axes[1], normal, sideways, stiffness)
+        return cls(
+            x,
+            y,
+            np.concatenate([np.zeros_like(normal[:1]), normal]),
+            np.diff(sideways, axis=0, prepend=np.zeros_like(sideways[:1])),
+            pressed[:, None] * grid.area / moved,
+        )
 
     def at(self, field: Array, points: Array) -> Array:
         """Return a field (X, Y, 3) at points (m, 2) [m], 0 beyond its places (m, 3)."""
-        value = np.zeros((len(points), 3), np.float32)
-        nodes, parts, inside = [], [], np.ones(len(points), bool)
+        value, inside = np.zeros((len(points), 3), np.float32), np.ones(len(points), bool)
+        nodes, parts = [], []
         for axis, line in zip((self.x, self.y), points.T, strict=True):
             position = (line - axis[0]) / (axis[1] - axis[0])
             inside &= (position >= 0) & (position <= len(axis) - 1)
-            node = np.clip(position.astype(int), 0, len(axis) - 2)
-            nodes.append(node)
-            parts.append((position - node)[:, None].astype(np.float32))
+            nodes.append(np.clip(position.astype(int), 0, len(axis) - 2))
+            parts.append((position - nodes[-1])[:, None].astype(np.float32))
         for i in (0, 1):
             for j in (0, 1):
                 weight = np.abs(1 - i - parts[0]) * np.abs(1 - j - parts[1])
                 value += weight * field[nodes[0] + i, nodes[1] + j]
         value[~inside] = 0
         return value
+
+
+def _long(spectrum: NDArray[Any], grid: PixelGrid) -> NDArray[Any]:
+    """Return the waves of (..., px, py // 2 + 1) that points of every `COARSE` pixels have."""
+    half_x, half_y = (count // COARSE // 2 for count in grid.period)
+    some = spectrum[..., : half_y + 1]
+    return np.concatenate([some[..., :half_x, :], some[..., -half_x:, :]], axis=-2)
+
+
+def _with_zero(waves: NDArray[Any], axis: int) -> NDArray[Any]:
+    """Return waves (n, 3, kx, ky) of a traction along x or y alone."""
+    whole = np.zeros((len(waves), 3, *waves.shape[1:]), np.complex64)
+    whole[:, axis] = waves
+    return whole
+
+
+def _displacement(grid: PixelGrid, symbol: Array, waves: NDArray[Any]) -> Array:
+    """Return the displacement (n, X, Y, 3) by tractions (n, 3, kx, ky), half a body beyond it."""
+    xx, yy, zz, xy = symbol[:4]
+    xz, yz = 1j * symbol[4:]
+    tx, ty, tz = np.moveaxis(waves, 1, 0)
+    parts = (
+        xx * tx + xy * ty + xz * tz,
+        xy * tx + yy * ty + yz * tz,
+        zz * tz - xz * tx - yz * ty,
+    )
+    low = tuple(count // COARSE for count in grid.period)
+    whole = np.stack([scipy.fft.irfft2(part, s=low) for part in parts], axis=-1) / COARSE**2
+    reach = [min(3 * n // (2 * COARSE), most) for n, most in zip(grid.shape, low, strict=True)]
+    shift = [(far - n // COARSE) // 2 for far, n in zip(reach, grid.shape, strict=True)]
+    moved = np.roll(whole, shift, (1, 2))[:, : reach[0], : reach[1]]
+    return np.ascontiguousarray(moved, np.float32)
 
 
 class LadderPress:
@@ -288,11 +339,15 @@ class LadderPress:
         """Place of the tip in the contact frame (3,) [m]."""
 
     def move(self, tip: Array, seconds: float) -> None:
-        """Move the tip straight to (3,) [m] in `seconds` [s]; 0 is a jump."""
+        """Move the tip straight to (3,) [m] in `seconds` [s]; 0 is a jump.
+
+        The elastic force changes linearly within a move, as in `sim.layer.solver.History`.
+        """
         tip = np.asarray(tip, float)
         aside = tip[:2] - self.tip[:2]
         self.tip = tip
-        if tip[2] >= 0 and not self._branches.any() and not self._force.any():
+        if tip[2] >= 0 and self._elastic[:, 2].sum() <= RESTED:
+            self._elastic[:] = self._branches[:] = self._force[:] = 0.0
             return
         ladder = self._ladder
         spans = seconds / self._times
@@ -304,8 +359,8 @@ class LadderPress:
         held = np.tensordot(decay, self._branches, 1) - gained.sum() * self._elastic
         elastic = self._elastic.copy()
         elastic[:, :2] += ladder.sideways * aside
-        travel = ladder.travel(ladder.normal(-tip[2])) if tip[2] < 0 else 0.0
-        elastic[:, 2] = ladder.spring * np.maximum(travel - ladder.start, 0.0)
+        pressed = np.maximum(ladder.travel(-tip[2]) - ladder.start, 0.0) if tip[2] < 0 else 0.0
+        elastic[:, 2] = ladder.spring * pressed * ladder.on_body(tip)
         force = factor * elastic + held
         force[:, 2] = np.maximum(force[:, 2], 0.0)
         limit = self._friction * force[:, 2]
@@ -320,10 +375,10 @@ class LadderPress:
     def wrench(self) -> Array:
         """Force and torque of the indenter on the skin, about the tip (6,) [N, N m]."""
         along_x, along_y, pressed = self._force.sum(axis=0)
-        unit, height = self._ladder.lateral(self._dent)
-        wrench: Array = unit * pressed
-        wrench[:2] = along_x, along_y
-        wrench[3:5] += -height * along_y, height * along_x
+        unit = self._ladder.unit(self._dent)
+        wrench: Array = unit[:6] * pressed
+        wrench[:3] = along_x, along_y, -pressed
+        wrench[3:5] += -unit[6] * along_y, unit[6] * along_x
         return wrench
 
     @property
@@ -350,65 +405,15 @@ class LadderPress:
         return self._ladder.deepest(float(self._elastic[:, 2].sum()))
 
 
-# Presses by `layer`, in files.
-
-
-def _skin(body: Body) -> Body:
-    """Return the skin of modulus 1 kPa, square and at least as wide as any contact."""
-    if body.dome_radius is not None:
-        return replace(body, modulus=1e3)
-    side = float(np.clip(5 * body.thickness, 20e-3, 40e-3))
-    return Body(side, side, body.thickness, 1e3, body.poisson)
-
-
-def _cache() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "tactile-rig" / "ladders"
-
-
-def _key(felt: Indenter, body: Body) -> str:
-    settings = (felt, _skin(body), STEPS, POWER, GRID, TOLERANCE, FRICTION)
-    return hashlib.sha256(repr(settings).encode()).hexdigest()[:16]
-
-
-def _presses(felt: Indenter, row: SimulatedSensor, keep: Path) -> tuple[Presses, Array, float]:
-    key = _key(felt, row.body)
-    for path in (PACKAGED / f"{key}.npz", keep / f"{key}.npz"):
-        presses = _read(path)
-        if presses is not None and presses.depth[-1] >= row.depth_max:
-            break
-    else:
-        presses = solved(felt, row.body, BEYOND * row.depth_max)
-        _write(path, presses)
-    return presses, np.ones(STEPS), UNMENDED
-
-
-@lru_cache(maxsize=8)
-def _read(path: Path) -> Presses | None:
-    if not path.is_file():
-        return None
-    with np.load(path) as file:
-        return Presses(**{name: file[name] for name in file.files})
-
-
-def _write(path: Path, presses: Presses) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as file:
-            np.savez_compressed(
-                file, **{name: getattr(presses, name) for name in presses.__slots__}
-            )
-        os.replace(file.name, path)
-    except OSError:
-        return  # it is solved again the next time
+# Presses by `layer` in files, and what `fem` adds to them.
 
 
 def solved(felt: Indenter, body: Body, deepest: float) -> Presses:
     """Return the presses of an indenter into a skin down to `deepest` [m], by tier `layer`."""
     skin = _skin(body)
     depths = deepest * (np.arange(1, STEPS + 1) / STEPS) ** POWER
-    corners = [(0.0, 0.0, 0.0), (0.0, 0.0, -deepest)]
-    scene = Scene(felt, Motion(tuple(corners), (0.0, 1.0)), skin, Effects(Friction(FRICTION)))
+    way = Motion(((0.0, 0.0, 0.0), (0.0, 0.0, -deepest)), (0.0, 1.0))
+    scene = Scene(felt, way, skin, Effects(Friction(FRICTION)))
     press = LayerPress(scene, PixelGrid(skin, GRID), TOLERANCE)
     wrench, height = np.zeros((STEPS, 6)), np.zeros(STEPS)
     traction = np.zeros((STEPS, 3, *press.grid.shape), np.float32)
@@ -421,13 +426,102 @@ def solved(felt: Indenter, body: Body, deepest: float) -> Presses:
     return Presses(depths, wrench, height, traction)
 
 
+def package(rows: list[SimulatedSensor], names: list[str]) -> None:
+    """Solve the ladders of the named indenters on the skins of some sensors, and package them."""
+    for skin in {_name(row.body) for row in rows}:
+        row = max((row for row in rows if _name(row.body) == skin), key=lambda row: row.depth_max)
+        arrays: dict[str, Any] = {}
+        for name in names:
+            felt = row.scene(named(name), Motion(((0.0, 0.0, 0.0),), (0.0,))).indenter
+            presses = solved(felt, row.body, BEYOND * row.depth_max)
+            arrays |= presses.packed(f"{_key(felt, row.body)}.")
+        np.savez_compressed(PACKAGED / f"{skin}.npz", **arrays)
+
+
+def _presses(felt: Indenter, row: SimulatedSensor, keep: Path) -> tuple[Presses, str]:
+    """Return the presses of an indenter as the sensor's skin feels it, and the ladder's name."""
+    key = _key(felt, row.body)
+    kept = keep / f"{key}.npz"
+    for path, prefix in ((PACKAGED / f"{_name(row.body)}.npz", f"{key}."), (kept, "")):
+        with suppress(OSError, KeyError, ValueError, zipfile.BadZipFile), np.load(path) as file:
+            presses = Presses.read(file, prefix)
+            if presses.depth[-1] >= row.depth_max:
+                return presses, key
+    packed = solved(felt, row.body, BEYOND * row.depth_max).packed()
+    with suppress(OSError):  # then it is solved again the next time
+        from recorder.store.files import replace_file
+
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        data = io.BytesIO()
+        np.savez_compressed(data, **packed)
+        replace_file(kept, data.getvalue(), several=True)
+    return Presses.read(packed), key
+
+
+def _skin(body: Body) -> Body:
+    """Return the skin of modulus 1 kPa, square and at least as wide as any contact."""
+    if body.dome_radius is not None:
+        return replace(body, modulus=1e3)
+    side = float(np.clip(5 * body.thickness, 20e-3, 40e-3))
+    return Body(side, side, body.thickness, 1e3, body.poisson)
+
+
+def _name(body: Body) -> str:
+    return f"{1e3 * body.thickness:g}mm-{body.poisson:g}"
+
+
+def _cache() -> Path:
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "tactile-rig" / "ladders"
+
+
+def _key(felt: Indenter, body: Body) -> str:
+    """Return the name of a ladder: a digest of all that it depends on."""
+    if felt.solid is not None:
+        felt = replace(felt, solid=replace(felt.solid, path="", notes=()))
+    settings = (replace(felt, name=""), _skin(body), STEPS, POWER, GRID, TOLERANCE, FRICTION)
+    return hashlib.sha256(repr(settings).encode()).hexdigest()[:12]
+
+
+@cache
+def _table() -> dict[str, Any]:
+    return dict(json.loads(TABLE.read_text()))
+
+
+def _by_fem(key: str, skin: str, depths: Array) -> tuple[Array, Array]:
+    """Return force by `fem` over that by `layer` at some depths [m], and its error over it."""
+    table = _table()
+    if key in table:
+        own = table[key]
+        ratio, stated = (np.interp(depths, own["depth"], own[name]) for name in ("ratio", "error"))
+        beyond = np.maximum(depths / own["depth"][-1] - 1, 0.0)
+        return ratio, stated + INTERPOLATED + beyond / 2
+    others = [one for one in table.values() if one["skin"] == skin]
+    if not others:
+        return np.ones_like(depths), np.full_like(depths, 2 * ANOTHER)
+    ratios = np.stack([np.interp(depths, one["depth"], one["ratio"]) for one in others])
+    middle = np.median(ratios, axis=0)
+    return middle, np.maximum(np.abs(ratios / middle - 1).max(axis=0), ANOTHER)
+
+
 def _growing(stiffness: Array) -> Array:
     """Return the stiffnesses of contacts (n, 2), each at least a little above the one before."""
     least = 1.0 + LEAST * np.arange(len(stiffness))[:, None]
     return np.asarray(np.maximum.accumulate(stiffness / least) * least)
 
 
-def _rising(x: Array, y: Array) -> Any:
-    from scipy.interpolate import PchipInterpolator
+def _sides(presses: Presses, skin: Body) -> list[tuple[Array, Array]]:
+    """Return places [m] along x and y that enclose all contacts, and the share below each.
 
-    return PchipInterpolator(x, y)
+    Shares are those of the pressure of each press (n, places).
+    """
+    sides = []
+    for other, size in ((2, skin.size_x), (1, skin.size_y)):
+        pressure = -presses.traction[:, 2].sum(axis=other)
+        below = np.pad(np.cumsum(pressure, axis=1), ((0, 0), (1, 0)))
+        edges = np.linspace(-size / 2, size / 2, below.shape[1])
+        touched = np.flatnonzero(pressure.any(axis=0))
+        far = max(-edges[touched[0]], edges[touched[-1] + 1])
+        some = np.abs(edges) <= far * (1 + 1e-9)
+        sides.append((edges[some], below[:, some] / below[:, -1:]))
+    return sides
