@@ -70,10 +70,19 @@ def places(row: SimulatedSensor) -> NDArray[np.float64]:
     return np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
+def grid(row: SimulatedSensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return x and y of the places of the top that a normal press gives (41,), (41,) [m]."""
+    axis = np.linspace(-0.5, 0.5, 41)
+    return axis * row.body.size_x, axis * row.body.size_y
+
+
 def solved(
     device: str, numerics: Fem, seconds: float, job: tuple[str, str, Motion]
 ) -> dict[str, Any]:
-    """Return the row of one press, elastic with the sensor's friction."""
+    """Return the row of one press, elastic with the sensor's friction.
+
+    A normal one has the displacement of the whole top, on `grid`, after each of its moves.
+    """
     of, name, motion = job
     row = sensor(of)
     felt = row.scene(named(name), motion).indenter
@@ -97,6 +106,9 @@ def solved(
     values: dict[str, Any] = {"tip": motion.tip, "why": why}
     if result is not None:
         moved = SurfaceField.of(result).at(places(row))
+        if len(motion) == 1 + len(DEPTHS):
+            even = SurfaceField.of(result).resampled(*grid(row))
+            values["surface"] = np.round(even.displacement[1:], 7).tolist()
         values |= {
             "wrench": result.wrench.tolist(),
             "markers": np.round(moved, 8).tolist(),
@@ -110,6 +122,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--fem", required=True, metavar="ROW[,ROW]", help="sensors")
     parser.add_argument("--only", default=",".join(NAMES), metavar="NAMES", help="indenters")
+    parser.add_argument("--kinds", default="normal,sheared")
     parser.add_argument("--device", default="cuda:0")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.json")
     parser.add_argument("--fineness", type=float, default=1.0)
@@ -119,7 +132,7 @@ def main() -> None:
     jobs = {
         f"{of} {name} {kind}": (of, name, motions(sensor(of), name)[kind])
         for of in options.fem.split(",")
-        for kind in ("sheared", "normal")
+        for kind in options.kinds.split(",")
         for name in options.only.split(",")
     }
     work = partial(solved, options.device, Fem(fineness=options.fineness), options.seconds)
