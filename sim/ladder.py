@@ -29,7 +29,7 @@ from typing import Any, Self
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
 
 from sim.indenters import Indenter, named
 from sim.layer.solver import LayerPress
@@ -100,30 +100,61 @@ class Presses:
         return {f"{key}{name}": array for name, array in arrays.items()}
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ByFem:
+    """What `fem` adds to the presses of a ladder, at k depths."""
+
+    depth: Array
+    """Depth of the tip (k,) [m]."""
+    ratio: Array
+    """Force by `fem` over that of the presses (k,)."""
+    error: Array
+    """Stated error of the force, over it (k,)."""
+    moved: Array | None = None
+    """Displacement by `fem` less that of the presses, at even places from side to side of the skin
+    (k, m, m, 3) [m]; None: unknown."""
+    half: tuple[float, float] = (0.0, 0.0)
+    """Last of those places along x, along y [m]."""
+
+    def at(self, depths: Array) -> tuple[Array, Array]:
+        """Return ratio and error at some depths [m]."""
+        ratio, error = (np.interp(depths, self.depth, one) for one in (self.ratio, self.error))
+        return ratio, error + np.maximum(depths / self.depth[-1] - 1, 0.0) / 2
+
+    def added(self, depths: Array, x: Array, y: Array) -> Array:
+        """Return the added displacement at depths (n,) and places x (X,), y (Y,): (n, X, Y, 3)."""
+        if self.moved is None:
+            return np.zeros((len(depths), len(x), len(y), 3), np.float32)
+        count = self.moved.shape[1]
+        axes = [np.linspace(-half, half, count) for half in self.half]
+        known = np.concatenate([np.zeros_like(self.moved[:1]), self.moved])
+        steps = np.concatenate([[0.0], self.depth])
+        look = RegularGridInterpolator((steps, *axes), known, bounds_error=False, fill_value=0.0)
+        places = np.meshgrid(np.minimum(depths, steps[-1]), x, y, indexing="ij")
+        return np.asarray(look(np.stack(places, axis=-1)), np.float32)
+
+
+# Nothing added.
+BARE = ByFem(np.ones(1), np.ones(1), np.full(1, 2 * ANOTHER))
+
+
 class Ladder:
     """Presses of an indenter into a skin at the top's middle, and the fields of its surface."""
 
-    def __init__(self, presses: Presses, body: Body, ratio: Array, error: Array) -> None:
-        """Superpose the presses.
-
-        Args:
-            presses: Solutions for a modulus of 1 Pa.
-            body: The skin.
-            ratio: True force over that of the presses (n,).
-            error: Stated error of the force of each press, over the force (n,).
-        """
+    def __init__(self, presses: Presses, body: Body, by_fem: ByFem) -> None:
+        """Superpose presses into the skin of a body, mended by `fem`."""
         self.body = body
         self.depths: Array = np.concatenate([[0.0], presses.depth])
         """Depths of the ladder, from 0 (n + 1,) [m]."""
         self.depth_max = float(self.depths[-1])
         """Depth of the deepest step [m]."""
+        ratio, self._error = by_fem.at(presses.depth)
         scale = ratio * body.modulus
         self._forces = np.concatenate([[0.0], -presses.wrench[:, 2] * scale])
         self._fine = np.linspace(0.0, 1.0, 8 * STEPS + 1) ** POWER * self.depth_max
         self._fine_force = PchipInterpolator(self.depths, self._forces)(self._fine)
         self._last = float(np.diff(self._fine_force[-2:])[0] / np.diff(self._fine[-2:])[0])
-        self._error = error
-        self.fields = Fields.of(presses, body)
+        self.fields = Fields.of(presses, body, by_fem)
         """Displacement of the top."""
         sideways = _growing(self.fields.stiffness * scale[:, None])
         stiffness = sideways.mean(axis=1)
@@ -160,8 +191,8 @@ class Ladder:
         shape = named(indenter) if isinstance(indenter, str) else indenter
         still = Motion(tip=((0.0, 0.0, 0.0),), time=(0.0,))
         felt = row.scene(shape, still).indenter
-        presses, key = _presses(felt, row, keep or _cache())
-        return cls(presses, row.body, *_by_fem(key, _name(row.body), presses.depth))
+        presses = presses_of(felt, row, keep or cache_folder())
+        return cls(presses, row.body, fem_of(name_of(felt, row.body), row.body))
 
     def normal(self, depth: float) -> float:
         """Return the static force at `depth` [m], in the top's middle [N]."""
@@ -226,12 +257,14 @@ class Fields:
     sideways: Array
     """Displacement by the contact of each step that moves by 1 m along x, along y, less that of
     the step before (n, 2, X, Y, 3), float32."""
+    rubbed: Array
+    """Part of `normal` by the friction of pressing (n + 1, X, Y, 3) [m], float32."""
     stiffness: Array
     """Tangential stiffness of each contact along x, along y, for a modulus of 1 Pa (n, 2) [N/m]."""
 
     @classmethod
-    def of(cls, presses: Presses, body: Body) -> Self:
-        """Return the fields of some presses.
+    def of(cls, presses: Presses, body: Body, by_fem: ByFem) -> Self:
+        """Return the fields of some presses, mended by `fem`.
 
         A contact that moves sideways as a whole has the tractions by which its next step presses:
         those of a flat punch of its outline.
@@ -251,17 +284,21 @@ class Fields:
         moved /= np.prod(grid.period) * pressed[:, None]
         symbol, waves, added = (_long(one, grid) for one in (symbol, waves, added))
         normal = _displacement(grid, symbol, waves)
+        waves[:, 2] = 0
+        rubbed = _displacement(grid, symbol, waves)
         axes = [_with_zero(added / moved[:, k, None, None], k) for k in (0, 1)]
         sideways = np.stack([_displacement(grid, symbol, axis) for axis in axes], axis=1)
         x, y = (
             (np.arange(count) - count / 2) * COARSE * pixel + pixel / 2
             for count, pixel in zip(normal.shape[1:3], grid.pixel, strict=True)
         )
+        normal += by_fem.added(presses.depth, x, y)
         return cls(
             x,
             y,
             np.concatenate([np.zeros_like(normal[:1]), normal]),
             np.diff(sideways, axis=0, prepend=np.zeros_like(sideways[:1])),
+            np.concatenate([np.zeros_like(rubbed[:1]), rubbed]),
             pressed[:, None] * grid.area / moved,
         )
 
@@ -335,6 +372,9 @@ class LadderPress:
         self._branches: Array = np.zeros((len(ratios), count, 3))
         """Force of each spring in each branch (b, n, 3) [N]."""
         self._force: Array = np.zeros((count, 3))
+        self._slipped: Array = np.zeros(count)
+        """1 for each spring that slipped since it was pressed: there the friction of pressing gave
+        way to that of the shear."""
         self.tip: Array = np.array([0.0, 0.0, np.inf])
         """Place of the tip in the contact frame (3,) [m]."""
 
@@ -365,6 +405,7 @@ class LadderPress:
         force[:, 2] = np.maximum(force[:, 2], 0.0)
         limit = self._friction * force[:, 2]
         length = np.hypot(force[:, 0], force[:, 1])
+        self._slipped = np.where(length > limit, 1.0, self._slipped) * (limit > 0)
         force[:, :2] *= np.minimum(limit / np.maximum(length, 1e-30), 1.0)[:, None]
         elastic = (force - held) / factor
         change = elastic - self._elastic
@@ -395,6 +436,10 @@ class LadderPress:
         fields = self._ladder.fields
         at, part = self._ladder.place(self._dent)
         field = (1 - part) * fields.normal[at] + part * fields.normal[at + 1]
+        pressed = self._force[:, 2]
+        slipped = float(pressed @ self._slipped) / max(float(pressed.sum()), 1e-30)
+        if slipped:
+            field -= slipped * ((1 - part) * fields.rubbed[at] + part * fields.rubbed[at + 1])
         moved = self._elastic[:, :2] / self._ladder.sideways
         field += np.tensordot(moved.astype(np.float32), fields.sideways, 2)
         return fields.at(field, np.asarray(points, float) - self.tip[:2] + self.shear)
@@ -428,25 +473,27 @@ def solved(felt: Indenter, body: Body, deepest: float) -> Presses:
 
 def package(rows: list[SimulatedSensor], names: list[str]) -> None:
     """Solve the ladders of the named indenters on the skins of some sensors, and package them."""
-    for skin in {_name(row.body) for row in rows}:
-        row = max((row for row in rows if _name(row.body) == skin), key=lambda row: row.depth_max)
+    for skin in {name_of_skin(row.body) for row in rows}:
+        row = max(
+            (row for row in rows if name_of_skin(row.body) == skin), key=lambda row: row.depth_max
+        )
         arrays: dict[str, Any] = {}
         for name in names:
             felt = row.scene(named(name), Motion(((0.0, 0.0, 0.0),), (0.0,))).indenter
             presses = solved(felt, row.body, BEYOND * row.depth_max)
-            arrays |= presses.packed(f"{_key(felt, row.body)}.")
+            arrays |= presses.packed(f"{name_of(felt, row.body)}.")
         np.savez_compressed(PACKAGED / f"{skin}.npz", **arrays)
 
 
-def _presses(felt: Indenter, row: SimulatedSensor, keep: Path) -> tuple[Presses, str]:
-    """Return the presses of an indenter as the sensor's skin feels it, and the ladder's name."""
-    key = _key(felt, row.body)
+def presses_of(felt: Indenter, row: SimulatedSensor, keep: Path) -> Presses:
+    """Return the presses of an indenter as the sensor's skin feels it."""
+    key = name_of(felt, row.body)
     kept = keep / f"{key}.npz"
-    for path, prefix in ((PACKAGED / f"{_name(row.body)}.npz", f"{key}."), (kept, "")):
+    for path, prefix in ((PACKAGED / f"{name_of_skin(row.body)}.npz", f"{key}."), (kept, "")):
         with suppress(OSError, KeyError, ValueError, zipfile.BadZipFile), np.load(path) as file:
             presses = Presses.read(file, prefix)
             if presses.depth[-1] >= row.depth_max:
-                return presses, key
+                return presses
     packed = solved(felt, row.body, BEYOND * row.depth_max).packed()
     with suppress(OSError):  # then it is solved again the next time
         from recorder.store.files import replace_file
@@ -455,7 +502,7 @@ def _presses(felt: Indenter, row: SimulatedSensor, keep: Path) -> tuple[Presses,
         data = io.BytesIO()
         np.savez_compressed(data, **packed)
         replace_file(kept, data.getvalue(), several=True)
-    return Presses.read(packed), key
+    return Presses.read(packed)
 
 
 def _skin(body: Body) -> Body:
@@ -466,16 +513,18 @@ def _skin(body: Body) -> Body:
     return Body(side, side, body.thickness, 1e3, body.poisson)
 
 
-def _name(body: Body) -> str:
+def name_of_skin(body: Body) -> str:
+    """Return the name of a body's skin in files."""
     return f"{1e3 * body.thickness:g}mm-{body.poisson:g}"
 
 
-def _cache() -> Path:
+def cache_folder() -> Path:
+    """Return the user's folder for ladders."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "tactile-rig" / "ladders"
 
 
-def _key(felt: Indenter, body: Body) -> str:
+def name_of(felt: Indenter, body: Body) -> str:
     """Return the name of a ladder: a digest of all that it depends on."""
     if felt.solid is not None:
         felt = replace(felt, solid=replace(felt.solid, path="", notes=()))
@@ -488,20 +537,26 @@ def _table() -> dict[str, Any]:
     return dict(json.loads(TABLE.read_text()))
 
 
-def _by_fem(key: str, skin: str, depths: Array) -> tuple[Array, Array]:
-    """Return force by `fem` over that by `layer` at some depths [m], and its error over it."""
-    table = _table()
+def fem_of(key: str, body: Body) -> ByFem:
+    """Return what `fem` adds to the ladder of that name on a body's skin.
+
+    An indenter without a table has the middle of the others on such a skin.
+    """
+    table, skin = _table(), name_of_skin(body)
     if key in table:
         own = table[key]
-        ratio, stated = (np.interp(depths, own["depth"], own[name]) for name in ("ratio", "error"))
-        beyond = np.maximum(depths / own["depth"][-1] - 1, 0.0)
-        return ratio, stated + INTERPOLATED + beyond / 2
+        depth, ratio, error = (np.array(own[name]) for name in ("depth", "ratio", "error"))
+        with suppress(OSError, KeyError), np.load(PACKAGED / f"{skin}-fem.npz") as file:
+            moved = file[f"{key}.levels"] * file[f"{key}.unit"]
+            return ByFem(depth, ratio, error + INTERPOLATED, moved, tuple(file[f"{key}.half"]))
+        return ByFem(depth, ratio, error + INTERPOLATED)
     others = [one for one in table.values() if one["skin"] == skin]
     if not others:
-        return np.ones_like(depths), np.full_like(depths, 2 * ANOTHER)
-    ratios = np.stack([np.interp(depths, one["depth"], one["ratio"]) for one in others])
+        return BARE
+    depth = np.array(max((one["depth"] for one in others), key=lambda depth: float(depth[-1])))
+    ratios = np.stack([np.interp(depth, one["depth"], one["ratio"]) for one in others])
     middle = np.median(ratios, axis=0)
-    return middle, np.maximum(np.abs(ratios / middle - 1).max(axis=0), ANOTHER)
+    return ByFem(depth, middle, np.maximum(np.abs(ratios / middle - 1).max(axis=0), ANOTHER))
 
 
 def _growing(stiffness: Array) -> Array:

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.processes import Workers
+from sim import ladder
 from sim.device import ready_device
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
@@ -117,18 +118,70 @@ def solved(
     return values | {"seconds": round(time.perf_counter() - began, 1)}
 
 
+def tabulate(files: list[Path]) -> None:
+    """Write the tables that come with the simulator from the normal presses of some files."""
+    table: dict[str, Any] = {}
+    fields: dict[str, dict[str, Any]] = {}
+    for of_name_kind, values in (
+        item for path in files for item in json.loads(path.read_text()).items()
+    ):
+        of, name, kind = of_name_kind.split()
+        if kind != "normal" or "wrench" not in values:
+            continue
+        row = sensor(of)
+        felt = row.scene(named(name), Motion(((0.0, 0.0, 0.0),), (0.0,))).indenter
+        key, skin = ladder.name_of(felt, row.body), ladder.name_of_skin(row.body)
+        bare = ladder.Ladder(
+            ladder.presses_of(felt, row, ladder.cache_folder()), row.body, ladder.BARE
+        )
+        force = -np.array(values["wrench"])[1:, 2]
+        depth = -np.array(values["tip"])[1 : 1 + len(force), 2]
+        own = np.array([bare.normal(float(one)) for one in depth])
+        table[key] = {
+            "indenter": name,
+            "skin": skin,
+            "depth": np.round(depth, 7).tolist(),
+            "ratio": np.round(force / own, 4).tolist(),
+            "error": values["error"]["force"][1:],
+        }
+        if "surface" not in values:
+            continue
+        points = np.stack(np.meshgrid(*grid(row), indexing="ij"), axis=-1).reshape(-1, 2)
+        beyond = []
+        for each, surface in zip(depth, np.array(values["surface"]), strict=True):
+            follower = ladder.LadderPress(bare)
+            follower.move(np.array([0.0, 0.0, -each]), 0.0)
+            beyond.append(surface - follower.markers(points).reshape(surface.shape))
+        unit = np.abs(beyond).max(axis=(1, 2), keepdims=True) / 127
+        fields.setdefault(skin, {}).update(
+            {
+                f"{key}.levels": np.round(np.array(beyond) / unit).astype(np.int8),
+                f"{key}.unit": unit.astype(np.float32),
+                f"{key}.half": np.array([axis[-1] for axis in grid(row)]),
+            }
+        )
+    lines = ",\n".join(f"{json.dumps(key)}: {json.dumps(one)}" for key, one in table.items())
+    ladder.TABLE.write_text(f"{{{lines}}}\n")
+    for skin, arrays in fields.items():
+        np.savez_compressed(ladder.PACKAGED / f"{skin}-fem.npz", **arrays)
+
+
 def main() -> None:
     """Solve the presses of the command line."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--fem", required=True, metavar="ROW[,ROW]", help="sensors")
+    parser.add_argument("--table", nargs="+", type=Path, metavar="FILE", help="tables of results")
+    parser.add_argument("--fem", metavar="ROW[,ROW]", help="sensors")
     parser.add_argument("--only", default=",".join(NAMES), metavar="NAMES", help="indenters")
     parser.add_argument("--kinds", default="normal,sheared")
     parser.add_argument("--device", default="cuda:0")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE.json")
+    parser.add_argument("--out", type=Path, metavar="FILE.json")
     parser.add_argument("--fineness", type=float, default=1.0)
     parser.add_argument("--seconds", type=float, default=100.0, help="most for a press")
     parser.add_argument("--processes", type=int, default=15)
     options = parser.parse_args()
+    if options.table:
+        tabulate(options.table)
+        return
     jobs = {
         f"{of} {name} {kind}": (of, name, motions(sensor(of), name)[kind])
         for of in options.fem.split(",")
