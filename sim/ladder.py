@@ -29,7 +29,7 @@ from typing import Any, Self
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
+from scipy.interpolate import PchipInterpolator
 
 from sim.indenters import Indenter, named
 from sim.layer.solver import LayerPress
@@ -51,6 +51,8 @@ ZERO = np.array([127, 127, 255])[:, None, None]
 COARSE = 2
 # Least growth of the tangential stiffness from one step to the next, over the stiffness.
 LEAST = 1e-3
+# Motion of skin along its slope beside a contact, over the depth (`_drawn`).
+DRAWN = 0.25
 # Force of a skin that counts as recovered [N].
 RESTED = 1e-6
 # Error of a force by a table of `fem`, beside that of the table, over the force; and the least one
@@ -110,28 +112,13 @@ class ByFem:
     """Force by `fem` over that of the presses (k,)."""
     error: Array
     """Stated error of the force, over it (k,)."""
-    moved: Array | None = None
-    """Displacement by `fem` less that of the presses, at even places from side to side of the skin
-    (k, m, m, 3) [m]; None: unknown."""
-    half: tuple[float, float] = (0.0, 0.0)
-    """Last of those places along x, along y [m]."""
+    side: float = 1.0
+    """Tangential stiffness by `fem` over that of the presses, beyond the ratio of forces."""
 
     def at(self, depths: Array) -> tuple[Array, Array]:
         """Return ratio and error at some depths [m]."""
         ratio, error = (np.interp(depths, self.depth, one) for one in (self.ratio, self.error))
         return ratio, error + np.maximum(depths / self.depth[-1] - 1, 0.0) / 2
-
-    def added(self, depths: Array, x: Array, y: Array) -> Array:
-        """Return the added displacement at depths (n,) and places x (X,), y (Y,): (n, X, Y, 3)."""
-        if self.moved is None:
-            return np.zeros((len(depths), len(x), len(y), 3), np.float32)
-        count = self.moved.shape[1]
-        axes = [np.linspace(-half, half, count) for half in self.half]
-        known = np.concatenate([np.zeros_like(self.moved[:1]), self.moved])
-        steps = np.concatenate([[0.0], self.depth])
-        look = RegularGridInterpolator((steps, *axes), known, bounds_error=False, fill_value=0.0)
-        places = np.meshgrid(np.minimum(depths, steps[-1]), x, y, indexing="ij")
-        return np.asarray(look(np.stack(places, axis=-1)), np.float32)
 
 
 # Nothing added.
@@ -154,9 +141,9 @@ class Ladder:
         self._fine = np.linspace(0.0, 1.0, 8 * STEPS + 1) ** POWER * self.depth_max
         self._fine_force = PchipInterpolator(self.depths, self._forces)(self._fine)
         self._last = float(np.diff(self._fine_force[-2:])[0] / np.diff(self._fine[-2:])[0])
-        self.fields = Fields.of(presses, body, by_fem)
+        self.fields = Fields.of(presses, body)
         """Displacement of the top."""
-        sideways = _growing(self.fields.stiffness * scale[:, None])
+        sideways = _growing(by_fem.side * self.fields.stiffness * scale[:, None])
         stiffness = sideways.mean(axis=1)
         self.spring: Array = np.diff(stiffness, prepend=0.0)
         """Stiffness of each spring (n,) [N/m]."""
@@ -263,8 +250,8 @@ class Fields:
     """Tangential stiffness of each contact along x, along y, for a modulus of 1 Pa (n, 2) [N/m]."""
 
     @classmethod
-    def of(cls, presses: Presses, body: Body, by_fem: ByFem) -> Self:
-        """Return the fields of some presses, mended by `fem`.
+    def of(cls, presses: Presses, body: Body) -> Self:
+        """Return the fields of some presses.
 
         A contact that moves sideways as a whole has the tractions by which its next step presses:
         those of a flat punch of its outline.
@@ -292,7 +279,11 @@ class Fields:
             (np.arange(count) - count / 2) * COARSE * pixel + pixel / 2
             for count, pixel in zip(normal.shape[1:3], grid.pixel, strict=True)
         )
-        normal += by_fem.added(presses.depth, x, y)
+        free = np.ones(normal.shape[:3], bool)
+        first = [(len(axis) - n // COARSE) // 2 for axis, n in zip((x, y), grid.shape, strict=True)]
+        own = presses.traction[:, 2, ::COARSE, ::COARSE] == 0
+        free[:, first[0] : first[0] + own.shape[1], first[1] : first[1] + own.shape[2]] = own
+        normal[..., :2] += free[..., None] * _drawn(normal[..., 2], presses.depth, x, y)
         return cls(
             x,
             y,
@@ -319,11 +310,24 @@ class Fields:
         return value
 
 
+def _drawn(dent: Array, depth: Array, x: Array, y: Array) -> Array:
+    """Return how far skin is drawn under the indenter (n, X, Y, 2) [m], which `layer` leaves out.
+
+    To second order in the depth d: -DRAWN (d + w) grad w / (1 + |grad w|^2) with the height w; a
+    fit to `fem`. Contacts hold their skin.
+    """
+    slope = np.stack(np.gradient(dent, x, y, axis=(1, 2)), axis=-1)
+    steep = 1 + np.square(slope).sum(axis=-1)
+    return np.asarray(-DRAWN * ((depth[:, None, None] + dent) / steep)[..., None] * slope)
+
+
 def _long(spectrum: NDArray[Any], grid: PixelGrid) -> NDArray[Any]:
     """Return the waves of (..., px, py // 2 + 1) that points of every `COARSE` pixels have."""
-    half_x, half_y = (count // COARSE // 2 for count in grid.period)
-    some = spectrum[..., : half_y + 1]
-    return np.concatenate([some[..., :half_x, :], some[..., -half_x:, :]], axis=-2)
+    low_x, low_y = (count // COARSE for count in grid.period)
+    some = spectrum[..., : low_y // 2 + 1]
+    return np.concatenate(
+        [some[..., : (low_x + 1) // 2, :], some[..., -(low_x // 2) :, :]], axis=-2
+    )
 
 
 def _with_zero(waves: NDArray[Any], axis: int) -> NDArray[Any]:
@@ -546,10 +550,7 @@ def fem_of(key: str, body: Body) -> ByFem:
     if key in table:
         own = table[key]
         depth, ratio, error = (np.array(own[name]) for name in ("depth", "ratio", "error"))
-        with suppress(OSError, KeyError), np.load(PACKAGED / f"{skin}-fem.npz") as file:
-            moved = file[f"{key}.levels"] * file[f"{key}.unit"]
-            return ByFem(depth, ratio, error + INTERPOLATED, moved, tuple(file[f"{key}.half"]))
-        return ByFem(depth, ratio, error + INTERPOLATED)
+        return ByFem(depth, ratio, error + INTERPOLATED, own["side"])
     others = [one for one in table.values() if one["skin"] == skin]
     if not others:
         return BARE

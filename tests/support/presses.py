@@ -36,6 +36,8 @@ from sim.tiers import simulate
 
 # Depths of the normal press, over the sensor's depth; of the sheared one, the least and the most.
 DEPTHS, SHEARED = (0.2, 0.4, 0.55, 0.7, 0.85, 1.0), (0.45, 0.8)
+# Coefficient of friction of all packaged sensors.
+FRICTION = 0.5
 # Shear over the depth, farthest place beside the middle [m], and frames of each move.
 SHEAR, ASIDE, FRAMES = 0.7, 2e-3, 4
 
@@ -71,19 +73,10 @@ def places(row: SimulatedSensor) -> NDArray[np.float64]:
     return np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
-def grid(row: SimulatedSensor) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return x and y of the places of the top that a normal press gives (41,), (41,) [m]."""
-    axis = np.linspace(-0.5, 0.5, 41)
-    return axis * row.body.size_x, axis * row.body.size_y
-
-
 def solved(
     device: str, numerics: Fem, seconds: float, job: tuple[str, str, Motion]
 ) -> dict[str, Any]:
-    """Return the row of one press, elastic with the sensor's friction.
-
-    A normal one has the displacement of the whole top, on `grid`, after each of its moves.
-    """
+    """Return the row of one press, elastic with the sensor's friction."""
     of, name, motion = job
     row = sensor(of)
     felt = row.scene(named(name), motion).indenter
@@ -107,9 +100,6 @@ def solved(
     values: dict[str, Any] = {"tip": motion.tip, "why": why}
     if result is not None:
         moved = SurfaceField.of(result).at(places(row))
-        if len(motion) == 1 + len(DEPTHS):
-            even = SurfaceField.of(result).resampled(*grid(row))
-            values["surface"] = np.round(even.displacement[1:], 7).tolist()
         values |= {
             "wrench": result.wrench.tolist(),
             "markers": np.round(moved, 8).tolist(),
@@ -119,51 +109,45 @@ def solved(
 
 
 def tabulate(files: list[Path]) -> None:
-    """Write the tables that come with the simulator from the normal presses of some files."""
-    table: dict[str, Any] = {}
-    fields: dict[str, dict[str, Any]] = {}
-    for of_name_kind, values in (
-        item for path in files for item in json.loads(path.read_text()).items()
-    ):
-        of, name, kind = of_name_kind.split()
-        if kind != "normal" or "wrench" not in values:
-            continue
-        row = sensor(of)
+    """Write the table that comes with the simulator from the presses of some files.
+
+    Where there is no normal press, the way down of the sheared one stands in. Its second frame of
+    shear gives the tangential stiffness.
+    """
+    solutions: dict[str, Any] = {}
+    for path in files:
+        some = json.loads(path.read_text())
+        solutions |= {name: values for name, values in some.items() if "wrench" in values}
+    table = {}
+    for of, name in dict.fromkeys(tuple(key.split()[:2]) for key in solutions):
+        row, sheared = sensor(of), solutions.get(f"{of} {name} sheared")
+        normal = solutions.get(f"{of} {name} normal", sheared)
+        count = 1 + (len(DEPTHS) if normal is not sheared else FRAMES)
         felt = row.scene(named(name), Motion(((0.0, 0.0, 0.0),), (0.0,))).indenter
-        key, skin = ladder.name_of(felt, row.body), ladder.name_of_skin(row.body)
-        bare = ladder.Ladder(
-            ladder.presses_of(felt, row, ladder.cache_folder()), row.body, ladder.BARE
-        )
-        force = -np.array(values["wrench"])[1:, 2]
-        depth = -np.array(values["tip"])[1 : 1 + len(force), 2]
-        own = np.array([bare.normal(float(one)) for one in depth])
-        table[key] = {
+        presses = ladder.presses_of(felt, row, ladder.cache_folder())
+        bare = ladder.Ladder(presses, row.body, ladder.BARE)
+        force = -np.array(normal["wrench"])[1:count, 2]
+        depth = -np.array(normal["tip"])[1 : 1 + len(force), 2]
+        ratio = force / [bare.normal(float(one)) for one in depth]
+        error = np.array(normal["error"]["force"])[1:count]
+        side = 1.0
+        if sheared is not None:
+            mended = ladder.Ladder(presses, row.body, ladder.ByFem(depth, ratio, error))
+            follower = ladder.LadderPress(mended, FRICTION)
+            for tip in np.array(sheared["tip"])[: FRAMES + 3]:
+                follower.move(tip, 0.0)
+            true = np.array(sheared["wrench"])[FRAMES + 2, :2]
+            side = float(np.hypot(*true) / np.hypot(*follower.wrench[:2]))
+        table[ladder.name_of(felt, row.body)] = {
             "indenter": name,
-            "skin": skin,
+            "skin": ladder.name_of_skin(row.body),
             "depth": np.round(depth, 7).tolist(),
-            "ratio": np.round(force / own, 4).tolist(),
-            "error": values["error"]["force"][1:],
+            "ratio": np.round(ratio, 4).tolist(),
+            "error": error.tolist(),
+            "side": round(side, 3),
         }
-        if "surface" not in values:
-            continue
-        points = np.stack(np.meshgrid(*grid(row), indexing="ij"), axis=-1).reshape(-1, 2)
-        beyond = []
-        for each, surface in zip(depth, np.array(values["surface"]), strict=True):
-            follower = ladder.LadderPress(bare)
-            follower.move(np.array([0.0, 0.0, -each]), 0.0)
-            beyond.append(surface - follower.markers(points).reshape(surface.shape))
-        unit = np.abs(beyond).max(axis=(1, 2), keepdims=True) / 127
-        fields.setdefault(skin, {}).update(
-            {
-                f"{key}.levels": np.round(np.array(beyond) / unit).astype(np.int8),
-                f"{key}.unit": unit.astype(np.float32),
-                f"{key}.half": np.array([axis[-1] for axis in grid(row)]),
-            }
-        )
     lines = ",\n".join(f"{json.dumps(key)}: {json.dumps(one)}" for key, one in table.items())
     ladder.TABLE.write_text(f"{{{lines}}}\n")
-    for skin, arrays in fields.items():
-        np.savez_compressed(ladder.PACKAGED / f"{skin}-fem.npz", **arrays)
 
 
 def main() -> None:
