@@ -252,8 +252,8 @@ def axes(at: AtBench, _: Answers) -> Iterator[Finding]:
         )
         for row in rows:
             ways[row.name].append(checks.direction(row, before[row.name], at.read(row)))
-            halves = np.array_split(np.arange(len(before[row.name])), 2)
-            held = checks.direction(row, *([before[row.name][k] for k in half] for half in halves))
+            half = (len(before[row.name]) + 1) // 2
+            held = checks.direction(row, before[row.name][:half], before[row.name][-half:])
             still[row.name] = max(still[row.name], float(np.linalg.norm(held)))
     at.free()
     for row in rows:
