@@ -83,7 +83,8 @@ class Presses:
         levels = file[f"{key}levels"].astype(np.float32)
         traction = np.zeros((*levels.shape[:2], *shape), np.float32)
         traction[..., low[0] : high[0], low[1] : high[1]] = (levels - ZERO) * file[f"{key}unit"]
-        return cls(*(file[f"{key}{name}"] for name in ("depth", "wrench", "height")), traction)
+        depth, wrench, height = (file[f"{key}{name}"] for name in ("depth", "wrench", "height"))
+        return cls(depth, wrench, height, traction)
 
     def packed(self, key: str = "") -> dict[str, Any]:
         """Return arrays for a file; tractions have 8 bits and are cut to where they are."""
@@ -316,7 +317,7 @@ def _drawn(dent: Array, depth: Array, x: Array, y: Array) -> Array:
     To second order in the depth d: -DRAWN (d + w) grad w / (1 + |grad w|^2) with the height w; a
     fit to `fem`. Contacts hold their skin.
     """
-    slope = np.stack(np.gradient(dent, x, y, axis=(1, 2)), axis=-1)
+    slope = np.stack(list(np.gradient(dent, x, y, axis=(1, 2))), axis=-1)
     steep = 1 + np.square(slope).sum(axis=-1)
     return np.asarray(-DRAWN * ((depth[:, None, None] + dent) / steep)[..., None] * slope)
 

@@ -215,8 +215,8 @@ def _sequences(
         plotted = [one.only(_held(one, role)) for one in plotted]
         plotted = sorted((one for one in plotted if len(one)), key=lambda one: one.method != BEFORE)
         if plotted:
-            pair = " to ".join(dict.fromkeys((source, target)))
-            text = f"{pair}: R2 {score[source, target]:.3f} at best"
+            names = " to ".join(dict.fromkeys((source, target)))
+            text = f"{names}: R2 {score[source, target]:.3f} at best"
             yield _encoded(charts.sequences(plotted, PRESSES, seed)), text
 
 
