@@ -105,7 +105,7 @@ class Presses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ByFem:
-    """What `fem` adds to the presses of a ladder, at k depths."""
+    """Force and stiffness by `fem` over those of the presses of a ladder, at k depths."""
 
     depth: Array
     """Depth of the tip (k,) [m]."""
@@ -216,14 +216,14 @@ class Ladder:
 
         The rest of the pressure is beside the body. That a skin is softer at its side is not in it.
         """
-        share = 1.0
+        fraction = 1.0
         at = max(0, min(int(np.searchsorted(self.depths, -tip[2])), len(self.start)) - 1)
         halves = self.body.size_x / 2, self.body.size_y / 2
         for place, half, (edges, below) in zip(tip[:2], halves, self._sides, strict=True):
             if abs(place) + edges[-1] > half:
                 first, last = np.interp([-half - place, half - place], edges, below[at])
-                share *= float(last - first)
-        return share
+                fraction *= float(last - first)
+        return fraction
 
     def place(self, depth: float) -> tuple[int, float]:
         """Return the step below `depth` [m] and the fraction of the way to the next one."""
@@ -501,7 +501,7 @@ def presses_of(felt: Indenter, row: SimulatedSensor, keep: Path) -> Presses:
                 return presses
     packed = solved(felt, row.body, BEYOND * row.depth_max).packed()
     with suppress(OSError):  # then it is solved again the next time
-        from recorder.store.files import replace_file
+        from recorder.store import replace_file
 
         kept.parent.mkdir(parents=True, exist_ok=True)
         data = io.BytesIO()

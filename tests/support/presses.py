@@ -58,7 +58,7 @@ def motions(row: SimulatedSensor, name: str) -> dict[str, Motion]:
     x, y = random.uniform(-ASIDE, ASIDE, 2)
     angle = float(random.uniform(0, math.tau))
     return {
-        "normal": press([share * row.depth_max for share in DEPTHS]),
+        "normal": press([part * row.depth_max for part in DEPTHS]),
         "sheared": press(
             [depth], shear=SHEAR * depth, angle=angle, at=(float(x), float(y)), steps=FRAMES
         ),
