@@ -90,7 +90,9 @@ def table(
     lines = ["  ".join(row).rstrip() for row in zip(*shown, strict=True)]
     for number, state in enumerate(states, 1):
         lines[number] = paint(lines[number], state)
-    return [*lines, *([f"not shown in full: {', '.join(hidden)} ({complete})"] if hidden else [])]
+    if hidden:
+        lines.append(wrapped(f"not shown in full: {', '.join(hidden)} ({complete})", ""))
+    return lines
 
 
 def _column(heading: str, cells: Sequence[str], width: int) -> list[str]:

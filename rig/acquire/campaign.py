@@ -266,7 +266,7 @@ def table(states: list[Progress]) -> list[str]:
     done = sum(progress.state == "done" for progress in states)
     left = duration(sum(progress.left for progress in states))
     total = f"{done} of {len(states)} sessions done, about {left} left"
-    return [*terminal.table(columns, states=colours), total]
+    return [*terminal.table(columns, spare=["plan"], states=colours), total]
 
 
 # Targets of finished sessions that are to be recorded again, as a campaign file of such entries.

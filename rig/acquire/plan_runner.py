@@ -137,7 +137,7 @@ class LiveLine:
     def _parts(self, target: Target) -> list[str]:
         """Return the parts of the line, the most important ones first."""
         counters = self._streams.counters()
-        dropped = sum(int(count["dropped"]) for count in counters.values())
+        lost = sum(int(count["dropped"]) for count in counters.values())
         x, y, z = tip_position(self._streams)
         depth = dome_height(self._streams.bench.dome_radius, x, y) - z
         return [
@@ -145,7 +145,7 @@ class LiveLine:
             f"{self._phase(self._move):<10}",
             f"{1e3 * depth:.2f} of {1e3 * target.depth:.2f} mm",
             self._streams.pressing(),
-            paint(f"dropped {dropped}", "fault") if dropped else "",
+            paint(f"lost {lost}", "fault") if lost else "",
             f"{duration(self._seconds_left())} left",
             *(f"{name} {count['rate_hz']:.0f} Hz" for name, count in counters.items()),
         ]

@@ -174,13 +174,13 @@ def test_the_line_says_all_that_fits_into_one_row(
     line.tick()
     text = out.getvalue().removeprefix("\r").removesuffix("\x1b[K")
     # The depth is the measured one, beside that of the target.
-    parts = ["target 37/240", "shear_inc ", "0.84 of 1.20 mm", "Fz  -2.41 N", "dropped 2"]
+    parts = ["target 37/240", "shear_inc ", "0.84 of 1.20 mm", "Fz  -2.41 N", "lost 2"]
     # 36 targets of 1 s, and 3 by the plan, which says 2 s; 203 remain.
     parts += ["3:39 min left", "camera 60 Hz"]
     assert "  ".join(parts).startswith(text)
     assert len(text) < int(columns)
     assert text.endswith("camera 60 Hz") == has_rates
-    assert ("dropped 2" in text) == (columns != "40")
+    assert ("left" in text) == (columns != "40")
     line.end()
     assert out.getvalue().endswith("\n")
 
