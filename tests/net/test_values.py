@@ -8,8 +8,11 @@ from net.values import EXPECTED, SCENES, SENSORS, masks_of, wrench_of
 
 VALUES = json.loads(EXPECTED.read_text())
 # Of the largest force of a scene. A state of `fem` is accepted with 1e-4 of it out of balance, so
-# another way to the same state may change it by about as much; `layer` has rounding alone.
-ALLOWED = {"layer": 1e-9, "fem": 2e-4}
+# another way to the same state may change it by about as much; `layer` has rounding alone, which
+# its iterations make larger: two kinds of processors differ by 6e-6.
+ALLOWED = {"layer": 2e-5, "fem": 2e-4}
+# Marked pixels, and their mean place [px], by which two kinds of processors may differ.
+PIXELS = (20.0, 0.01, 0.01)
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -24,4 +27,4 @@ def test_the_wrenches_of_a_scene_are_the_same(name: str) -> None:
 
 @pytest.mark.parametrize("name", SENSORS)
 def test_the_masks_of_a_sensor_are_the_same(name: str) -> None:
-    assert masks_of(name) == VALUES["masks"][name]
+    assert np.all(np.abs(np.subtract(masks_of(name), VALUES["masks"][name])) <= PIXELS)

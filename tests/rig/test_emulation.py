@@ -127,7 +127,7 @@ def test_an_unknown_setting_of_an_emulator_is_refused_with_all_that_there_are(
 
 
 def test_every_device_of_a_bench_has_an_emulator_or_shares_the_arms() -> None:
-    assert KINDS - EMULATORS.keys() == {"ur_pose", "ur_wrench"}
+    assert KINDS - EMULATORS.keys() == {"ur_pose", "ur_wrench", "v4l2"}
 
 
 @pytest.mark.parametrize(
@@ -140,8 +140,8 @@ def test_every_device_of_a_bench_has_an_emulator_or_shares_the_arms() -> None:
         (["netft", "--file", "none.json"], "none.json: no such file"),
         (["robotiq_2f"], "robotiq_2f: missing device; known: host, world"),
         (["hid_pedal", '{"device": {"kind": "spacemouse", "device": "/x.hidraw"}}'], "device.kind"),
-        (["camera"], "view, source: found neither; allowed: one of them"),
-        (["camera", '{"source": "x", "view": "y"}'], "view, source: found both"),
+        (["mjpeg"], "view, source: found neither; allowed: one of them"),
+        (["mjpeg", '{"source": "x", "view": "y"}'], "view, source: found both"),
         (["netft", "{}", "--file", "x"], "not allowed with"),
         (["force"], "kind: found 'force'; allowed: ur,"),
     ],

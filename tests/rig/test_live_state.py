@@ -23,7 +23,7 @@ GAUGE = {"kind": "netft", "host": "loopback", "rate_hz": 100.0}
 
 def bench_with(cameras: int, gauges: int, taxels: int, arms: int) -> Bench:
     kinds: dict[str, tuple[int, Any]] = {
-        "eye": (cameras, lambda k: {"kind": "camera", "address": f"http://loopback:{8100 + k}/"}),
+        "eye": (cameras, lambda k: {"kind": "mjpeg", "address": f"http://loopback:{8100 + k}/"}),
         "gauge": (gauges, lambda k: {"http_port": 8200 + k, "udp_port": 49200 + k} | GAUGE),
         "skin": (taxels, lambda k: {"kind": "xela", "address": f"ws://loopback:{5000 + k}"}),
         "arm": (arms, lambda k: {"kind": "ur_pose", "host": "loopback"}),

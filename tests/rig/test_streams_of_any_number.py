@@ -40,7 +40,7 @@ streams:
   skin_3: {kind: xela, address: "ws://loopback:5002", rate_hz: 20.0}
   flange: {kind: ur_pose, host: loopback, rate_hz: 50.0}
   elbow: {kind: ur_pose, host: loopback, rate_hz: 25.0}
-world: {taxels: {pitch_mm: 4.7}, noise: {force_n: 0.01, grey: 1.0, counts: 2.1}}
+world: {noise: {force_n: 0.01, grey: 1.0, counts: 2.1}}
 """
 NONE = """
 extends: three.yaml

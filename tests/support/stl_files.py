@@ -68,6 +68,23 @@ def ball(radius: float, count: int) -> Body:
     return points, _halved(np.concatenate(faces))
 
 
+def revolved(profile: Sequence[tuple[float, float]], count: int) -> Body:
+    """Return a closed outline (distance from axis, z), material on its left, revolved about z."""
+    radius, z = np.array(profile, float).T
+    ring = np.column_stack([*_circle(1.0, count).T, np.zeros(count)])
+    rings = radius[:, None, None] * ring + z[:, None, None] * [0, 0, 1]
+    return lofted([*rings, rings[0]])
+
+
+def lofted(rings: Sequence[Array]) -> Body:
+    """Return the surface between neighbouring closed rings of points (N, 3)."""
+    count = len(rings[0])
+    here = np.arange(len(rings) - 1)[:, None] * count
+    this, after = np.arange(count), (np.arange(count) + 1) % count
+    quads = [here + this, here + after, here + count + after, here + count + this]
+    return np.concatenate(rings), _halved(np.stack(quads, axis=-1).reshape(-1, 4))
+
+
 def as_published(name: str, count: int) -> Body:
     """Return a named indenter [mm] of flat facets, `count` around a circle, with sharp edges."""
     with pytest.MonkeyPatch.context() as patched:
@@ -89,3 +106,8 @@ def moved(body: Body, by: Sequence[float]) -> Body:
 def _halved(quads: Sequence[Sequence[int]] | Faces) -> Faces:
     squares = np.asarray(quads)
     return np.concatenate([squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]])
+
+
+def _circle(radius: float, count: int, shift: float = 0.0) -> Array:
+    angle = (np.arange(count) + shift) / count * math.tau
+    return radius * np.column_stack([np.cos(angle), np.sin(angle)])

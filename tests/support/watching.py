@@ -81,7 +81,7 @@ class WatchedBench:
         self.records["force"].write((now_ns, 0, force))
         place = np.add(BENCH.contact_frame[:3], tip)
         self.records["pose"].write((now_ns, 0.0, 0, 2, 1.0, (*place, *BENCH.tool_rotation)))
-        self.counters["force"].write((now_ns, 900, 800, 3, 998.0, 0.004))
+        self.counters["force"].write((now_ns, 900, 800, 3, 998.0, 0.004, 0.0))
 
     def picture(self) -> bytes:
         """Record one more image and show its row; return its bytes."""

@@ -68,11 +68,11 @@ def test_a_campaign_lists_its_sessions_with_what_is_left(
 ) -> None:
     assert main(["campaign", "--file", "campaigns/day.yaml", "--out", str(tmp_path), "--list"]) == 0
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
-    assert rows[0] == ["sensor", "indenter", "plan", "targets", "state"]
+    assert rows[0][:5] == ["sensor", "indenter", "plan", "targets", "state"]
     assert [row[1:5] for row in rows[1:4]] == [
         ["gelsight", "prism", "force_depth", "0/3"],
         ["gelsight", "cylinder", "press_shear", "0/240"],
         ["gelsight", "sphere", "press_shear", "0/240"],
     ]
-    assert {tuple(row[5:7]) for row in rows[1:9]} == {("open,", "about")}
+    assert {row[5] for row in rows[1:9]} == {"open"}
     assert rows[9][:5] == ["0", "of", "8", "sessions", "done,"]
