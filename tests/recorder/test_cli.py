@@ -72,8 +72,7 @@ def test_a_sheet_shows_frames_and_curves(names: tuple[str, ...], tmp_path: Path)
         pixels = np.asarray(image.convert("RGB")).astype(int)
     assert 1500 < pixels.shape[1] <= 1600
     colored = (np.ptp(pixels, axis=2) > 60).mean(axis=1)
-    thumbs = colored[84 : 84 + 186]
-    curves = colored[max(len(colored) - 440, 310) :]
+    curves, thumbs = colored[-430:], colored[48 : 48 + 186]
     assert ("force" in names) == bool((curves[:220] > 0.002).any())
     assert ("pose" in names) == bool((curves[240:] > 0.002).any())
     assert "taxels" not in names or thumbs.max() > 0.01
