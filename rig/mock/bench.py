@@ -255,7 +255,8 @@ class MockBench(ProcessGroup):
         if name == "taxels":
             if sources.taxels is not None:
                 return {"source": str(sources.taxels)}
-            return {"view": view, "noise": noise.counts, "true_rate_hz": lab.taxel_rate_hz}
+            at = {} if lab.taxel_rate_hz is None else {"true_rate_hz": lab.taxel_rate_hz}
+            return {"view": view, "noise": noise.counts} | at
         if name == "gripper":
             return {"holding": True}
         if not config.device.endswith(".hidraw"):

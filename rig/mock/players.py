@@ -28,7 +28,7 @@ PLAYED_BY = {
     "pose": "ur",
     "arm_wrench": "ur",
     "taxels": "xela",
-    "camera": "camera",
+    "camera": "mjpeg",
 }
 
 

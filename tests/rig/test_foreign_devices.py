@@ -21,6 +21,7 @@ GUIDE = ROOT / "docs/how-to/add-a-device.md"
 # An array of 4 x 6 taxels that speaks the same lines as the sensor of the guide.
 SKIN = """
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -56,6 +57,7 @@ class SkinDriver(LineGaugeDriver):
 @dataclass(frozen=True, slots=True)
 class SkinEmulatorConfig(EmulatorConfig):
     device: SkinSettings = field(default=SkinSettings())
+    view: Path | None = None
     noise: float = 0.0
 
 
