@@ -99,7 +99,7 @@ def settings_to_dict(settings: Any) -> dict[str, Any]:
 
 
 def require_same(path: Path, content: Mapping[str, Any]) -> None:
-    """Write what a folder's results are made of to a JSON file, or check that it is the same."""
+    """Write the sources of a folder's results to a JSON file, or check that it is the same."""
     plain: dict[str, Any] = json.loads(json.dumps(content))
     if not path.exists():
         replace_file(path, (json.dumps(plain, indent=1) + "\n").encode())

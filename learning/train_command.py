@@ -34,7 +34,7 @@ def run_training(
     `data` are words that identify the training data, joined to its fingerprint. `train` reads the
     data, trains, and finishes the run unless it was stopped; it returns lines to print at the end,
     or None for the default line. The split is written to `split.json`; `reading` names the items
-    that are counted while data is read; `metadata` is what is known before training and needed to
+    that are counted while data is read; `metadata` is known before training and needed to
     use the model.
     """
     launched = accelerator(settings.launch)

@@ -228,7 +228,7 @@ class ItemProgress(Progress):
 class CountDown:
     """The time left, as it is shown: it falls, whatever becomes of its estimate.
 
-    Where the estimate is larger than what is shown, that falls as the work left does, so that both
+    Where the estimate is larger than the shown one, that falls as the work left does, so that both
     end together. An estimate that is larger by a quarter is shown as it is.
     """
 

@@ -213,7 +213,7 @@ def edge_errors(result: Result) -> Array:
     """Return the error of a force by the length of elements at an edge (F,), over the force.
 
     Contacts end at nodes, so that two meshes may have the same error by chance. Their width is
-    uncertain by no more than what is touched of the edge.
+    uncertain by no more than the touched part of the edge.
     """
     touched, width = touched_edge(result), np.maximum(result.quality.contact_width, 1e-9)
     lengths = result.record["mesh"].get("finest", 0.0) / np.maximum(touched, 1e-9)

@@ -455,7 +455,7 @@ class LadderPress:
         return self._ladder.deepest(float(self._elastic[:, 2].sum()))
 
 
-# Presses by `layer` in files, and what `fem` adds to them.
+# Presses by `layer` in files, and the corrections by `fem`.
 
 
 def solved(felt: Indenter, body: Body, deepest: float) -> Presses:
@@ -543,7 +543,7 @@ def _table() -> dict[str, Any]:
 
 
 def fem_of(key: str, body: Body) -> ByFem:
-    """Return what `fem` adds to the ladder of that name on a body's skin.
+    """Return the correction by `fem` of the ladder of that name on a body's skin.
 
     An indenter without a table has the middle of the others on such a skin.
     """

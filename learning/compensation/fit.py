@@ -264,7 +264,7 @@ def write_compensation(
     curves: Curves = ARCHIVED,
     split: Path | None = None,
 ) -> list[str]:
-    """Write what `find_compensation` finds and a picture of the curves; return lines of tables."""
+    """Write the curves of `find_compensation` and their picture; return lines of tables."""
     compensation, gathered = find_compensation(archive, pairs=pairs, curves=curves, split=split)
     compensation.write(out)
     picture = out.with_suffix(".png")

@@ -136,7 +136,7 @@ class Intervals:
         return low, high
 
     def is_outside(self, forces: Floats, shapes: Floats) -> NDArray[np.bool_]:
-        """Return True for forces (n, 3) [N] and shapes (n, 7) outside of what was learned."""
+        """Return True for forces (n, 3) [N] and shapes (n, 7) beyond those that were learned."""
         largest = np.array([np.inf if one is None else one for one in self.largest])
         beyond = (np.abs(np.asarray(forces).reshape(-1, 3)) > largest).any(axis=1)
         return np.asarray(beyond | self.learned.is_far(shapes), np.bool_)

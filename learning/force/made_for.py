@@ -45,7 +45,7 @@ class Conditions:
 
 
 def of_archive(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> dict[str, Any]:
-    """Return what a model keeps of a sensor in an archive and the rows that it learns."""
+    """Return a model's statement on a sensor in an archive and the rows that it learns."""
     masks = sensor.representation == MASKS
     depth = sensor.table["depth"][rows]
     return {
@@ -56,7 +56,7 @@ def of_archive(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> dict[str, Any
 
 
 def made_for(model: str | os.PathLike[str]) -> tuple[Conditions, ...]:
-    """Return what the model in a folder was made for, by sensor; empty if it does not state it.
+    """Return the purpose of the model in a folder, by sensor; empty if it is not stated.
 
     A model of `A-to-B` was made for B.
     """

@@ -220,7 +220,7 @@ class ReferenceMarkers:
 
 
 def with_reference(segmenter: Segmenter, reference: Picture) -> Segmenter | ReferenceMarkers:
-    """Return what makes masks by a reference, a view (480, 640, 3) of `Segmenter.view`."""
+    """Return a maker of masks by a reference, a view (480, 640, 3) of `Segmenter.view`."""
     for detector in segmenter.preset.detectors:
         if isinstance(detector, Hat) and detector.lattice:
             return ReferenceMarkers(segmenter, detector, reference)

@@ -72,7 +72,7 @@ class ByPlace:
     def calibrate(
         self, model: ForceModel, indenters: Sequence[str], scale: Scale
     ) -> IntervalCalibration:
-        """Return the intervals of a model of the target, given what is known of its scale.
+        """Return the intervals of a model of the target, given its known scale.
 
         Indenters that calibrate are seen in the archive, never by the model.
         """

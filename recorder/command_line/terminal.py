@@ -1,4 +1,4 @@
-"""Tables, lines and colours of what is printed: within a terminal's width, complete elsewhere."""
+"""Tables, lines and colours of printed text: within a terminal's width, complete elsewhere."""
 
 import os
 import re
@@ -13,9 +13,9 @@ State = Literal["good", "note", "fault", ""]
 # In the palette of the terminal, which its user chose for a dark or a light ground.
 _STYLES: dict[State, str] = {"good": "32", "note": "33", "fault": "1;31"}
 _ESCAPE = re.compile(r"\x1b\[[0-9;]*m")
-# Cells that are aligned to the right: numbers, their units, and what stands for a missing one.
+# Cells that are aligned to the right: numbers, their units, and the sign of a missing one.
 _NUMBER = re.compile(r"([-+]?[\d.,/]+(e[-+]\d+)?( \S{1,3})?|nan|-|)$")
-# Width below which no column is cut, and what stands for the rest of a cell.
+# Width below which no column is cut, and the sign for the rest of a cell.
 _LEAST, _MORE = 8, "..."
 
 

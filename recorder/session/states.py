@@ -21,7 +21,7 @@ FULL_SPEED = 0.99
 # A force is clipped if its largest value is there for this long [s], this often, and this many
 # times as often as the next one: noise makes the largest the rarest.
 CLIPPED, CLIPPED_SAMPLES, CLIPPED_TIMES = 0.02, 10, 10.0
-# Column of a gauge that settles: what it read, also where that is no value.
+# Column of a gauge that settles: its reading, also where that is no value.
 READING = "reading"
 
 
@@ -41,7 +41,7 @@ def in_stalls(stood: Times, start_ns: Times, end_ns: Times) -> NDArray[np.bool_]
 
 
 def states(session: Session) -> Iterator[Finding]:
-    """Yield what was the matter with the bench and its computer, the computer first."""
+    """Yield the troubles of the bench and its computer, the computer first."""
     for run, entry in enumerate(session.runs):
         of = _of(session, run)
         lasting = np.diff(stalls(session, run), axis=1) * 1e-9

@@ -462,7 +462,7 @@ class Collector:
 
 
 def _expected(bench: Bench, request: CollectRequest) -> dict[str, Any]:
-    """Return what is expected of the presses of a session, in SI units."""
+    """Return the expected forces of the presses of a session, in SI units."""
     depths = bench.dry_run(request.plan).depths[: request.total]
     reached = sorted({round(depth, 9) for depth in depths})
     return {

@@ -45,7 +45,7 @@ _WRITTEN = 32 << 20
 AT_REST = 0.35
 # Distance of the tip from the sensor beyond which the contact frame, or its units, is wrong [m].
 FAR = 1.5
-# What an emulator does not have.
+# Parts that an emulator does not have.
 _HARDWARE = re.compile("cable|plug|power|switch the arm")
 # A clock that is earlier was never set.
 _SET = "2024-01-01"
@@ -196,7 +196,7 @@ def realtime() -> Finding:
 
 
 def computer(load: Load) -> Finding:
-    """Examine what the computer is short of; a fault without priority over what else runs."""
+    """Examine the computer's resources; a fault without priority over other programs."""
     if not (state := busy(load)):
         return Finding("computer", "well", str(load))
     cure = "end other programs (top shows which need it); a computer of its own for the bench"
@@ -279,7 +279,7 @@ def _stream(
     return Finding(row.name, "well", text)
 
 
-# How to switch off what a V4L2 camera sets by itself.
+# How to switch off the automatic controls of a V4L2 camera.
 _MANUAL = {
     "exposure": "{key}.exposure_ms in the bench file, below one period",
     "white balance": "v4l2-ctl -d {at} -c white_balance_automatic=0 (older Linux: "

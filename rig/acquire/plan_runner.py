@@ -43,7 +43,7 @@ class LiveLine:
     """Progress of a collection: target, phase, depth, force, losses, and the time left.
 
     `planned` is the predicted duration of each target [s], of which this run presses those of
-    `pressing`. What they took changes the prediction for the rest, which counts like three
+    `pressing`. Their time changes the prediction for the rest, which counts like three
     targets; one that took much longer than the others changes it little.
     """
 

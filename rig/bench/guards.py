@@ -157,7 +157,7 @@ def left_out_text(bench: Bench, out: Mapping[int, float]) -> str:
 
 
 def force_text(bench: Bench, depth: float) -> str:
-    """Return the expected force at a depth [m], and what it may be, as text."""
+    """Return the expected force at a depth [m] with its interval, as text."""
     low, high = bench.expected.at(depth)
     limit = "half of the rating" if bench.no_gauge else "soft limit"
     return (
@@ -222,9 +222,9 @@ def statement(bench: Bench) -> dict[str, Any]:
 
 
 def lines(bench: Bench, depth: float, out: Mapping[int, float]) -> list[str]:
-    """Return what presses to `depth` [m] are expected to take, to print before anything moves.
+    """Return the expected forces of presses to `depth` [m], to print before anything moves.
 
-    `out` are the targets that are left out. Without a gauge, what stands in for it comes first.
+    `out` are the targets that are left out. Without a gauge, its stand-ins come first.
     """
     text = [f"force     {force_text(bench, depth)}, {1e3 * bench.arm.speed:.3g} mm/s"]
     if out:

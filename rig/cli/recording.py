@@ -61,7 +61,7 @@ def started_bench(
     """Start the emulators of a mock bench for the context; a lab bench needs nothing.
 
     The emulators play `sources`, log the World's truth to the file `truth`, and keep their files in
-    `folder`, by default a temporary one. A busy computer is named in what the context raises.
+    `folder`, by default a temporary one. A busy computer is named in the context's errors.
     """
     try:
         with contextlib.ExitStack() as stack:

@@ -607,7 +607,7 @@ def _checked(at: AtBench, step: Step, answers: Answers) -> list[Finding]:
 
 
 def _read(prompt: str) -> str:
-    """Return what is typed; raise EOFError at the end of input, which Ctrl-D is."""
+    """Return the typed line; raise EOFError at the end of input, which Ctrl-D is."""
     line = answer(prompt)
     if line is None:
         raise EOFError

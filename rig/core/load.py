@@ -41,7 +41,7 @@ class Load:
 
     @classmethod
     def read(cls, proc: Path = PROC) -> Self:
-        """Read the state now; what this kernel does not tell counts as no load."""
+        """Read the state now; values that this kernel lacks count as no load."""
         average = re.match(r"([\d.]+) \S+ \S+ (\d+)/", _text(proc / "loadavg"))
         memory = dict(re.findall(r"(\w+): +(\d+) kB", _text(proc / "meminfo")))
         waits = {}
@@ -62,7 +62,7 @@ class Load:
         return f"{self.threads:.0f} threads on {self.cores} cores{memory}"
 
     def shortages(self) -> list[str]:
-        """Return what this computer is short of; none if it is not busy."""
+        """Return the resources that this computer is short of; none if it is not busy."""
         found = []
         crowded = self.threads > CROWDED * self.cores
         if crowded and self.waits.get("cpu", 1.0) >= WAITING:
@@ -80,7 +80,7 @@ def _text(path: Path) -> str:
 
 
 def busy(load: Load, stalled: float = 0.0) -> str:
-    """Return that this computer is busy, and with what; empty if it is not.
+    """Return that this computer is busy, with the reason; empty if it is not.
 
     `stalled` is the longest time for which a process of ours stood still lately [s].
     """

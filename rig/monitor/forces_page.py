@@ -38,7 +38,7 @@ class ForcesJob:
     source: str
     """Kind of bench, or that a session is replayed."""
     model: str = ""
-    """Name of the model, and what it was made for."""
+    """Name of the model, and its purpose."""
     warnings: tuple[str, ...] = ()
     """Differences between that and this sensor."""
 

@@ -122,7 +122,7 @@ class Finished:
         return session
 
     def about(self, path: str) -> dict[str, Any]:
-        """Return what is constant about a session, and its targets."""
+        """Return a session's constants, and its targets."""
         session, row = self.session(path), self.row(path)
         frames, targets = session.frames, session.targets
         count, summary = len(frames["t_ns"]), session.attrs.get("summary") or {}

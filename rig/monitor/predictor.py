@@ -45,7 +45,7 @@ def open_predictor(
 
     `sensor` selects the marker detection preset, unless `preset` names one or its file. `signal` is
     the sensor's kind of stream, `depth` the depth that it is pressed to [m]; `warn` is called with
-    each difference from what the model was made for.
+    each difference from the model's purpose.
     """
     try:
         from learning.errors import LearningError
@@ -72,7 +72,7 @@ def open_predictor(
 
 
 def made_for(model: str) -> str:
-    """Return the name of a model of `force_model`, and what it was made for if it states that."""
+    """Return the name of a model of `force_model`, and its purpose if it states that."""
     from learning.force.made_for import made_for
 
     made = "; ".join(map(str, made_for(model)))

@@ -66,7 +66,7 @@ def simulate_in_time(
 
 
 def with_time(outcome: Outcome, steps: TimeSteps | None, numerics: Fem) -> Outcome:
-    """Return an outcome with the error by time `steps` of its result, or of what it has reached."""
+    """Return an outcome with the error by time `steps` of its result or the part reached."""
     if isinstance(outcome, SimulationDiverged):
         if outcome.reached is not None:
             outcome.reached = with_time(outcome.reached, steps, numerics)

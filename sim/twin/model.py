@@ -135,7 +135,7 @@ def by_fem(
     """Return the force on a sensor along a path (n, 3) [N], by tier `fem`.
 
     Tips (n, 3) [m], z above the undeformed surface there, are at times (n,) [s] from 0 on; `finer`
-    are elements through the thickness, over `CELLS`. What has no solution is tried again with
+    are elements through the thickness, over `CELLS`. Presses that diverge are tried again with
     smaller steps, or on smaller elements if the indenter passes through them.
     """
     scene, first = sensor.scene(indenter, motion_of(tip, time)), fem_of(sensor, finer)

@@ -1,4 +1,4 @@
-"""Values and settings that mean nothing: errors state the place, the value and what is allowed."""
+"""Values and settings that mean nothing: errors state the place, the value and the allowed ones."""
 
 from collections.abc import Callable
 from typing import Any

@@ -1,4 +1,4 @@
-"""A busy computer is named first and once, and what it explains is not found a second time."""
+"""A busy computer is named first and once, and its effects are not found a second time."""
 
 from collections.abc import Callable
 from functools import partial
@@ -111,7 +111,7 @@ def test_an_old_polyscope_is_named(version: str, named: bool) -> None:
     assert ("does not say if remote control is on" in age_note(version)) == named
 
 
-# What a session says of its bench and computer
+# A session's words on its bench and computer
 
 
 def late(columns: Columns) -> Columns:

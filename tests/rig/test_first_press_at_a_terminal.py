@@ -42,7 +42,7 @@ for press in range(int(sys.argv[1])):
 
 
 def at_a_terminal(presses: list[list[str]], ahead: str = "") -> list[str]:
-    """Answer the questions of first presses in turn; return what the terminal showed of each.
+    """Answer the questions of first presses in turn; return the terminal's text of each.
 
     `ahead` is typed before the program has started.
     """

@@ -1,4 +1,4 @@
-"""The mock bench's World: the rows' sensors under real shapes, and what labs see."""
+"""The mock bench's World: the rows' sensors under real shapes, and the effects of labs."""
 
 import contextlib
 import itertools
@@ -178,7 +178,7 @@ def test_a_held_indenter_gives_way_and_slides_beyond_the_grip() -> None:
     back = np.concatenate([deep, way((0, 0, -0.8), (0, 0, 0.2)), way((0, 0, 0.2), (0, 0, -0.1))])
     slid = states_along(loose, back, "prism")
     assert slid["wrench"][:, 2].min() > -1.6
-    # What slid stays where it is: the next press does not reach the skin.
+    # Slid contact stays where it is: the next press does not reach the skin.
     assert slid["wrench"][-1, 2] == 0
 
 

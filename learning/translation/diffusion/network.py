@@ -459,7 +459,7 @@ MARKER_VAE = "marker-vae"
 
 
 class MarkerVae(nn.Module):
-    """SD-Turbo's autoencoder for images (n, 1, h, w) in [0, 1]; its state is what is trained."""
+    """SD-Turbo's autoencoder for images (n, 1, h, w) in [0, 1]; its state is trained."""
 
     def __init__(self, vae: Any, settings: VaeSettings, *, decode_scaled: bool = False) -> None:
         """Add the adapter, unless all weights are trained.

@@ -157,7 +157,7 @@ class PoseError:
         self._rng = np.random.default_rng(seed)
 
     def reported(self, pose: Array, tick: int) -> Array:
-        """Return what the arm reports for a pose (6,) [m, rad] in its cycle `tick`."""
+        """Return the arm's report for a pose (6,) [m, rad] in its cycle `tick`."""
         position, vector = pose[:3] + self._rng.normal(0.0, self._jitter, 3), pose[3:]
         angle = float(np.linalg.norm(vector))
         if self._flipped and tick * CYCLE % 0.2 < 0.1 and angle > 0:

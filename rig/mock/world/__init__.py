@@ -47,7 +47,7 @@ class WorldConfig:
     """Port for the hand of an operator, see `rig.mock.world.host`; None: none."""
 
     def surface(self, points: np.ndarray) -> Callable[[np.void], np.ndarray]:
-        """Return what moves points (n, 2) [m] by a WORLD_STATE: displacement (n, 3) [m]."""
+        """Return a function of a WORLD_STATE: how points (n, 2) [m] move (n, 3) [m]."""
         if self.world.tier == "layer":
             return SimulatedSurface(self.world, self.folder, points)
         return LadderSurface(self.world, self.indenter, points)
@@ -61,7 +61,7 @@ def build_world(settings: WorldConfig) -> World:
 
 
 def load_view(path: Path, kind: str = "camera") -> Callable[[np.void], np.ndarray]:
-    """Return a function of a WORLD_STATE: what a World's camera or taxels measure.
+    """Return a function of a WORLD_STATE: the reading of a World's camera or taxels.
 
     It returns RGB (480, 640, 3) uint8, or raw counts (taxels, 3) before noise.
 

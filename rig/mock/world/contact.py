@@ -1,4 +1,4 @@
-"""Frame of the contact, and what every World does."""
+"""Frame of the contact, and the base of every World."""
 
 from __future__ import annotations
 

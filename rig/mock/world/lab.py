@@ -11,7 +11,7 @@ from rig.core.clock import SECOND_NS
 
 # Height above the skin at which it lets go of a tip that retracts [m].
 _LETS_GO = 0.1e-3
-# Time in which a held press loses most of what it loses by creep, in which lamps warm up, and in
+# Time in which a held press loses most of its creep, in which lamps warm up, and in
 # which a camera settles its exposure [s].
 _CREEP, _WARM_UP, _SETTLING = 20.0, 300.0, 0.4
 # Exposure with which a camera opens, over the settled one.

@@ -122,7 +122,7 @@ def markers_of(spec: WorldSpec) -> LiveMarkers:
 
 
 def sampler_of(spec: WorldSpec, points: np.ndarray) -> tuple[Sampler, tuple[int, int]]:
-    """Return what reads a solver's surface at points (n, 2) [m], and the surface's shape (X, Y)."""
+    """Return a reader of a solver's surface at points (n, 2) [m], and its shape (X, Y)."""
     from sim.layer.spectral import PixelGrid
     from sim.stream import Sampler
 
