@@ -317,8 +317,21 @@ def _rounding_kernel(real, stored):
     return rounded
 
 
+# Most nodes of meshes that are solved side by side: Warp counts the bytes from one environment's
+# matrix (float64) to that of the next in 32 bits.
+NODES_SIDE_BY_SIDE = (2**31 - 1) // (SLOTS * 72)
+
+
 def zero_blocks(environments: int, nodes: int, block, device: str, *, parallel: bool) -> wp.array:
-    """Return zeros for the blocks of all nodes (B, N, 27); `parallel`: node numbers run fastest."""
+    """Return zeros for the blocks of all nodes (B, N, 27); `parallel`: node numbers run fastest.
+
+    Raises:
+        ValueError: Several environments have more than `NODES_SIDE_BY_SIDE` nodes.
+    """
+    if environments > 1 and nodes > NODES_SIDE_BY_SIDE:
+        raise ValueError(
+            f"{environments} matrices of {nodes} nodes; allowed: {NODES_SIDE_BY_SIDE}, or one"
+        )
     if not parallel:
         return wp.zeros((environments, nodes, SLOTS), dtype=block, device=device)
     stored = wp.zeros((environments, SLOTS, nodes), dtype=block, device=device)

@@ -13,6 +13,7 @@ from sim.device import check_device, kind_of
 from sim.errors import SimulationDiverged
 from sim.fem import ELEMENTS_DEFAULT, FINENESS_LEAST, Fem, Precision
 from sim.fem.assembly import damping_time
+from sim.fem.matrix import NODES_SIDE_BY_SIDE
 from sim.fem.mesh import Mesh, meshes_of
 from sim.fem.outcome import checked, coarseness, more_wanted, required_by, wanted_of_overlap
 from sim.fem.sizing import Sizes, coarser_than_required, stages_of
@@ -378,7 +379,9 @@ def _batches(
     most = ELEMENTS_SIDE_BY_SIDE[kind_of(device)]
     batches = []
     for group in alike.values():
-        size = max(1, most // len(meshes[group[0]].elements))
+        mesh = meshes[group[0]]
+        fits = len(mesh.nodes) <= NODES_SIDE_BY_SIDE
+        size = max(1, most // len(mesh.elements)) if fits else 1
         batches += [group[i : i + size] for i in range(0, len(group), size)]
     return batches
 
@@ -443,16 +446,21 @@ def _stiffened(
         ]
         if not some:
             break
-        batch = Batch(
-            [scenes[row] for row, _one in some],
-            [meshes[row] for row, _one in some],
-            numerics,
-            "float64",
-            device,
-            progress=progress,
-            stiffening=[one for _row, one in some],
-        )
-        for (row, one), outcome in zip(some, batch.run(), strict=True):
+        fits = len(meshes[0].nodes) <= NODES_SIDE_BY_SIDE
+        outcomes = []
+        for part in [some] if fits else [[one] for one in some]:
+            batch = Batch(
+                [scenes[row] for row, _one in part],
+                [meshes[row] for row, _one in part],
+                numerics,
+                "float64",
+                device,
+                progress=progress,
+                stiffening=[one for _row, one in part],
+            )
+            outcomes += batch.run()
+            del batch  # frees its memory on the device
+        for (row, one), outcome in zip(some, outcomes, strict=True):
             if isinstance(outcome, Result):
                 record = {**outcome.record, "stiffening": {"coefficients": [one]}}
                 solved[row].append(replace(outcome, record=record))

@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import warp as wp
 
 import sim.tolerance as module
 from sim import Body, Effects, Layer, Scene, SceneError, plan, press, replay
 from sim.error_estimate import with_estimate
 from sim.errors import SimulationDiverged
-from sim.fem import Fem, solver
+from sim.fem import Fem, matrix, solver
 from sim.fem.in_time import time_steps
 from sim.fem.sizing import Sizes, Span
 from sim.fem.solver import Required, simulate_fem
@@ -183,3 +184,10 @@ def test_a_press_without_a_solution_goes_on_with_a_skin_that_stiffens(
     assert again.record["stiffening"]["waypoint"] == 0
     assert again.record["mesh"]["fineness"] == 0.4
     assert again.force[2, 2] == pytest.approx(result.force[2, 2], rel=0.1)
+    for where in (solver, matrix):  # so that no two fit side by side
+        monkeypatch.setattr(where, "NODES_SIDE_BY_SIDE", 10)
+    with pytest.raises(ValueError, match="2 matrices of 11 nodes; allowed: 10, or one"):
+        matrix.zero_blocks(2, 11, wp.mat33d, "cpu", parallel=True)
+    (apart,) = simulate_fem([scene], Fem(fineness=0.4), required=required)
+    assert isinstance(apart, Result)
+    np.testing.assert_allclose(apart.force, again.force, atol=1e-6 * abs(again.force).max())
