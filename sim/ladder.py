@@ -14,6 +14,8 @@ J. Appl. Mech. 33 (1966) 893): a press keeps one force per slider, and loading, 
 follow Masing's rule without a case for each. How far it is off: docs/reference/fidelity.md.
 """
 
+from __future__ import annotations
+
 import hashlib
 import io
 import json
@@ -22,20 +24,20 @@ import zipfile
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from sim.indenters import Indenter, named
-from sim.layer.solver import LayerPress
-from sim.layer.spectral import PixelGrid
 from sim.scene import Body, Effects, Friction, Motion, Scene, Viscosity
 from sim.sensors import SimulatedSensor
+
+if TYPE_CHECKING:
+    from sim.layer.spectral import PixelGrid
 
 Array = NDArray[np.floating[Any]]
 
@@ -127,7 +129,11 @@ BARE = ByFem(np.ones(1), np.ones(1), np.full(1, 2 * ANOTHER))
 
 
 class Ladder:
-    """Presses of an indenter into a skin at the top's middle, and the fields of its surface."""
+    """Presses of an indenter into a skin at the top's middle, and the fields of its surface.
+
+    Stiffness sideways and the surface are computed when they are first used: the force alone needs
+    neither.
+    """
 
     def __init__(self, presses: Presses, body: Body, by_fem: ByFem) -> None:
         """Superpose presses into the skin of a body, mended by `fem`."""
@@ -138,27 +144,53 @@ class Ladder:
         """Depth of the deepest step [m]."""
         ratio, self._error = by_fem.at(presses.depth)
         scale = ratio * body.modulus
+        self._presses, self._side_scale = presses, by_fem.side * scale[:, None]
         self._forces = np.concatenate([[0.0], -presses.wrench[:, 2] * scale])
         self._fine = np.linspace(0.0, 1.0, 8 * STEPS + 1) ** POWER * self.depth_max
         self._fine_force = PchipInterpolator(self.depths, self._forces)(self._fine)
         self._last = float(np.diff(self._fine_force[-2:])[0] / np.diff(self._fine[-2:])[0])
-        self.fields = Fields.of(presses, body)
-        """Displacement of the top."""
-        sideways = _growing(by_fem.side * self.fields.stiffness * scale[:, None])
-        stiffness = sideways.mean(axis=1)
-        self.spring: Array = np.diff(stiffness, prepend=0.0)
-        """Stiffness of each spring (n,) [N/m]."""
-        self.sideways: Array = np.diff(sideways, axis=0, prepend=0.0)
-        """Stiffness of each spring along x, along y (n, 2) [N/m]."""
-        travel = np.concatenate([[0.0], np.cumsum(np.diff(self._forces) / stiffness)])
-        self.start: Array = travel[:-1]
-        """Travel, as of `travel`, from which each spring is pressed (n,) [m]."""
-        self._fine_travel = np.interp(self._fine_force, self._forces, travel)
-        self._last_travel = self._last / float(stiffness[-1])
         pressed = -presses.wrench[:, 2:3]
         units = np.column_stack([presses.wrench / pressed, presses.height])
         self._units: Array = np.vstack([units[:1], units])
-        self._sides = _sides(presses, _skin(body))
+
+    @cached_property
+    def fields(self) -> Fields:
+        """Displacement of the top."""
+        return Fields.of(self._presses, self.body)
+
+    @cached_property
+    def _stiffness(self) -> Array:
+        """Tangential stiffness of each contact along x, along y (n, 2) [N/m]."""
+        return _growing(self.fields.stiffness * self._side_scale)
+
+    @cached_property
+    def spring(self) -> Array:
+        """Stiffness of each spring (n,) [N/m]."""
+        return np.diff(self._stiffness.mean(axis=1), prepend=0.0)
+
+    @cached_property
+    def sideways(self) -> Array:
+        """Stiffness of each spring along x, along y (n, 2) [N/m]."""
+        return np.diff(self._stiffness, axis=0, prepend=0.0)
+
+    @cached_property
+    def _travel(self) -> Array:
+        """`travel` of each depth (n + 1,) [m]."""
+        steps = np.diff(self._forces) / self._stiffness.mean(axis=1)
+        return np.concatenate([[0.0], np.cumsum(steps)])
+
+    @cached_property
+    def _fine_travel(self) -> Array:
+        return np.asarray(np.interp(self._fine_force, self._forces, self._travel))
+
+    @cached_property
+    def _sides(self) -> list[tuple[Array, Array]]:
+        return _sides(self._presses, _skin(self.body))
+
+    @property
+    def start(self) -> Array:
+        """Travel, as of `travel`, from which each spring is pressed (n,) [m]."""
+        return self._travel[:-1]
 
     @classmethod
     def of(cls, indenter: Indenter | str, row: SimulatedSensor, keep: Path | None = None) -> Self:
@@ -203,7 +235,8 @@ class Ladder:
 
         Over the coefficient of friction.
         """
-        beyond = self._last_travel * max(depth - self.depth_max, 0.0)
+        last = self._last / float(self._stiffness[-1].mean())
+        beyond = last * max(depth - self.depth_max, 0.0)
         return float(np.interp(depth, self._fine, self._fine_travel)) + beyond
 
     def unit(self, depth: float) -> Array:
@@ -257,6 +290,10 @@ class Fields:
         A contact that moves sideways as a whole has the tractions by which its next step presses:
         those of a flat punch of its outline.
         """
+        import scipy.fft
+
+        from sim.layer.spectral import PixelGrid
+
         skin = _skin(body)
         grid = PixelGrid(skin, GRID)
         symbol = (skin.modulus * grid.symbol).astype(np.float32)
@@ -340,6 +377,8 @@ def _with_zero(waves: NDArray[Any], axis: int) -> NDArray[Any]:
 
 def _displacement(grid: PixelGrid, symbol: Array, waves: NDArray[Any]) -> Array:
     """Return the displacement (n, X, Y, 3) by tractions (n, 3, kx, ky), half a body beyond it."""
+    import scipy.fft
+
     xx, yy, zz, xy = symbol[:4]
     xz, yz = 1j * symbol[4:]
     tx, ty, tz = np.moveaxis(waves, 1, 0)
@@ -371,6 +410,7 @@ class LadderPress:
         self._ladder, self._friction = ladder, friction
         ratios, times = (viscosity.ratios, viscosity.times) if viscosity else ((), ())
         self._ratios, self._times = np.array(ratios, float), np.array(times, float)
+        self._passed = self._passing(0.0)
         count = len(ladder.spring)
         self._elastic: Array = np.zeros((count, 3))
         """Force of each spring at rest: along x and y, and its pressure (n, 3) [N]."""
@@ -395,13 +435,11 @@ class LadderPress:
             self._elastic[:] = self._branches[:] = self._force[:] = 0.0
             return
         ladder = self._ladder
-        spans = seconds / self._times
-        decay = np.exp(-spans)
-        gained = self._ratios * np.divide(
-            -np.expm1(-spans), spans, out=np.ones_like(spans), where=spans > 0
-        )
+        if seconds != self._passed[0]:
+            self._passed = self._passing(seconds)
+        _, decay, gained = self._passed
         factor = 1 + gained.sum()
-        held = np.tensordot(decay, self._branches, 1) - gained.sum() * self._elastic
+        held = (decay * self._branches).sum(axis=0) - gained.sum() * self._elastic
         elastic = self._elastic.copy()
         elastic[:, :2] += ladder.sideways * aside
         pressed = np.maximum(ladder.travel(-tip[2]) - ladder.start, 0.0) if tip[2] < 0 else 0.0
@@ -414,13 +452,22 @@ class LadderPress:
         force[:, :2] *= np.minimum(limit / np.maximum(length, 1e-30), 1.0)[:, None]
         elastic = (force - held) / factor
         change = elastic - self._elastic
-        self._branches = decay[:, None, None] * self._branches + gained[:, None, None] * change
+        self._branches = decay * self._branches + gained * change
         self._elastic, self._force = elastic, force
+
+    def _passing(self, seconds: float) -> tuple[float, Array, Array]:
+        """Return a time [s], and what branches keep and gain in it (b, 1, 1)."""
+        spans = (seconds / self._times)[:, None, None]
+        ratios, whole = self._ratios[:, None, None], np.ones_like(spans)
+        gained = np.divide(-np.expm1(-spans), spans, out=whole, where=spans > 0)
+        return seconds, np.exp(-spans), ratios * gained
 
     @property
     def wrench(self) -> Array:
         """Force and torque of the indenter on the skin, about the tip (6,) [N, N m]."""
         along_x, along_y, pressed = self._force.sum(axis=0)
+        if not pressed:
+            return np.zeros(6)
         unit = self._ladder.unit(self._dent)
         wrench: Array = unit[:6] * pressed
         wrench[:3] = along_x, along_y, -pressed
@@ -438,6 +485,8 @@ class LadderPress:
 
     def markers(self, points: Array) -> Array:
         """Return the displacement (n, 3) [m] of the top at undeformed points (n, 2) [m]."""
+        if not self._elastic.any():
+            return np.zeros((len(points), 3), np.float32)
         fields = self._ladder.fields
         at, part = self._ladder.place(self._dent)
         field = (1 - part) * fields.normal[at] + part * fields.normal[at + 1]
@@ -460,6 +509,9 @@ class LadderPress:
 
 def solved(felt: Indenter, body: Body, deepest: float) -> Presses:
     """Return the presses of an indenter into a skin down to `deepest` [m], by tier `layer`."""
+    from sim.layer.solver import LayerPress
+    from sim.layer.spectral import PixelGrid
+
     skin = _skin(body)
     depths = deepest * (np.arange(1, STEPS + 1) / STEPS) ** POWER
     way = Motion(((0.0, 0.0, 0.0), (0.0, 0.0, -deepest)), (0.0, 1.0))

@@ -11,7 +11,7 @@ from functools import cache
 
 import numpy as np
 
-from rig.bench.indenter import find_indenter
+from rig.bench.indenter import body_of
 from rig.core.errors import ConfigError
 
 # Largest factor between a lab's skin and the modulus of its row, unless the bench file states its
@@ -76,21 +76,18 @@ def expected_force(skin: Skin, indenter: str, *, exact: bool) -> ExpectedForce:
 
     Args:
         skin: The skin.
-        indenter: Name of the paper's or the lab's own, see `find_indenter`.
+        indenter: Name of the paper's or the lab's own, see `rig.bench.indenter`.
         exact: The skin is that of its row if no modulus is stated: a mock bench's.
 
     Raises:
         ConfigError: Row or indenter cannot be used.
     """
     try:
-        from sim.indenters import from_stl, named
         from sim.ladder import Ladder
         from sim.sensors import sensor_of
 
-        row, solid = sensor_of(skin.sensor), find_indenter(indenter).stl
-        reach = row.body.thickness
-        body = named(indenter) if solid is None else from_stl(solid, name=indenter, reach=reach)
-        ladder = Ladder.of(body, row)
+        row = sensor_of(skin.sensor)
+        ladder = Ladder.of(body_of(indenter, row.body.thickness), row)
     except ImportError as error:
         raise ConfigError(
             f"skin: {error.name} is not installed; install: pip install 'tactile-rig[sim]'"

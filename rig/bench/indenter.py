@@ -9,13 +9,16 @@ import hashlib
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rig.core.config import build, from_si, read_yaml
 from rig.core.errors import ConfigError
 from rig.core.names import unknown_name
+
+if TYPE_CHECKING:
+    from sim.indenters import Indenter as Body
 
 # Folder of a lab's own indenters, relative to the folder where the commands run.
 OWN = Path("indenters")
@@ -103,6 +106,19 @@ def find_indenter(name: str, where: str = "--indenter", folder: Path = OWN) -> I
     if name in paper_indenters():
         return paper_indenters()[name]
     raise unknown_name(where, name, indenter_names(folder), f"in the paper or {folder}/")
+
+
+def body_of(name: str, reach: float) -> "Body":
+    """Return the simulator's body of an indenter; no press is deeper than `reach` [m].
+
+    Raises:
+        ImportError: The simulator is not installed.
+        ValueError: Its file holds no body that can press.
+    """
+    from sim.indenters import from_stl, named
+
+    solid = find_indenter(name).stl
+    return named(name) if solid is None else from_stl(solid, name=name, reach=reach)
 
 
 def _own(name: str, path: Path) -> Indenter:

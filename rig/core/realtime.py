@@ -12,8 +12,9 @@ RIG_PRIORITY = 50
 ARM_PRIORITY = 45
 # Emulators: the devices that they replace run regardless of the host's load.
 DEVICE_PRIORITY = 60
-# Camera emulator, which draws for milliseconds at a time: below every process that must not wait.
-CAMERA_PRIORITY = 40
+# Camera emulator, which draws for milliseconds at a time: below the streams, but above the arm's
+# process, which keeps a core busy while it waits for the controller.
+CAMERA_PRIORITY = 47
 # Solver of a simulated World: busier than the camera; running late only costs accuracy.
 SOLVER_PRIORITY = 30
 _PR_SET_TIMERSLACK = 29

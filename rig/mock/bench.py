@@ -43,7 +43,9 @@ _READY_TIMEOUT = 90.0
 _END_TIMEOUT = 5.0
 # The processes share the cores with each other and with the rig: none may use several threads for a
 # matrix product, or busy-wait for the others.
-_ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+_ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"), "1"
+)
 # Kinds of devices that are emulated.
 _KINDS = ("arm", "force", "camera", "taxels", "gripper", "pedal", "spacemouse")
 # Fault port of the first of the devices that have names of their own.

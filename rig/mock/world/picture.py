@@ -47,16 +47,20 @@ class Backdrop:
         if grey_noise > 0:
             # Random crops of one noise bank cost a copy instead of a million random numbers.
             rng = np.random.default_rng(seed)
-            bank = rng.normal(0, grey_noise, (HEIGHT + 64, WIDTH + 64, 3))
-            self._noise, self._rng = bank.round().astype(np.int16), rng
+            bank = rng.normal(0, grey_noise, (HEIGHT + 64, WIDTH + 64, 3)).round()
+            # Brighter and darker pixels, in the type of the image.
+            self._noise = [np.clip(sign * bank, 0, 255).astype(np.uint8) for sign in (1, -1)]
+            self._rng = rng
 
     def noisy(self, image: np.ndarray) -> np.ndarray:
         """Return the image (480, 640, 3) with the camera's noise, if it has any."""
+        import cv2
+
         if self._noise is None:
             return image
         top, left = self._rng.integers(0, 64, 2)
-        noise = self._noise[top : top + HEIGHT, left : left + WIDTH]
-        noisy: np.ndarray = np.clip(image.astype(np.int16) + noise, 0, 255).astype(np.uint8)
+        more, less = (bank[top : top + HEIGHT, left : left + WIDTH] for bank in self._noise)
+        noisy: np.ndarray = cv2.subtract(cv2.add(image, more), less)
         return noisy
 
 
@@ -74,22 +78,28 @@ class MarkerPicture:
     ) -> None:
         self._backdrop = Backdrop(background, grey_noise=grey_noise, light=light, seed=seed)
         self._ink = np.broadcast_to(np.array(ink, np.uint8), (HEIGHT, WIDTH, 3)).copy()
+        self._canvas = np.zeros((FINE * HEIGHT, FINE * WIDTH), np.uint8)
+        # The last picture without noise, and its rims: nothing moves between two presses.
+        self._rims, self._clean = np.zeros(0), self._backdrop.lit
 
     def image(self, rims: np.ndarray) -> np.ndarray:
         """Return the image, RGB (480, 640, 3) uint8, of markers with these rims (n, m, 2) [px]."""
         import cv2
 
-        fraction = cv2.merge([coverage(rims)] * 3)
-        lit = cv2.multiply(self._backdrop.lit, 255 - fraction, scale=1 / 255)
-        image: np.ndarray = cv2.add(lit, cv2.multiply(self._ink, fraction, scale=1 / 255))
-        return self._backdrop.noisy(image)
+        if not np.array_equal(rims, self._rims):
+            fraction = cv2.merge([coverage(rims, self._canvas)] * 3)
+            lit = cv2.multiply(self._backdrop.lit, 255 - fraction, scale=1 / 255)
+            self._clean = cv2.add(lit, cv2.multiply(self._ink, fraction, scale=1 / 255))
+            self._rims = rims
+        return self._backdrop.noisy(self._clean)
 
 
-def coverage(rims: np.ndarray) -> np.ndarray:
+def coverage(rims: np.ndarray, canvas: np.ndarray | None = None) -> np.ndarray:
     """Return the fraction of each pixel inside a rim (480, 640) uint8, 255 for a covered pixel.
 
     Args:
         rims: Column and row of the rims' points (n, m, 2) [px]; whole numbers are pixel centres.
+        canvas: Array of an earlier call to draw on, (480, 640) times `FINE`, uint8; it is cleared.
     """
     import cv2
 
@@ -99,7 +109,10 @@ def coverage(rims: np.ndarray) -> np.ndarray:
     inner = middle + offset * np.maximum(1 - _BEYOND / FINE / length, 0.0)
     # The centre of the fine pixel k lies at (k + 1/2) / FINE - 1/2.
     fine = ((inner + 0.5) * FINE - 0.5) * (1 << _FIXED_BITS)
-    canvas = np.zeros((FINE * HEIGHT, FINE * WIDTH), np.uint8)
+    if canvas is None:
+        canvas = np.zeros((FINE * HEIGHT, FINE * WIDTH), np.uint8)
+    else:
+        canvas.fill(0)
     for corners in np.rint(fine).astype(np.int32):
         cv2.fillPoly(canvas, [corners], 255, lineType=cv2.LINE_8, shift=_FIXED_BITS)
     # Halving twice takes a quarter of the time of one reduction by four.

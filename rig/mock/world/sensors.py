@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rig.bench.indenter import find_indenter
+from rig.bench.indenter import body_of
 from rig.bench.worlds import WorldSpec
 from rig.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from sim.indenters import Indenter
     from sim.ladder import Ladder
     from sim.ladder import LadderPress as LadderPress
     from sim.sensors import SimulatedSensor
@@ -64,25 +63,13 @@ def dome_of(row: SimulatedSensor, tier: str) -> float | None:
     return planned if tier == "layer" else planned or row.body.dome_radius
 
 
-def body_of(indenter: str, row: SimulatedSensor) -> Indenter:
-    """Return the body of the indenter of that name."""
-    with _errors():
-        from sim.indenters import from_stl, named
-
-        solid = find_indenter(indenter).stl
-        # No press is deeper than the skin is thick.
-        reach = row.body.thickness
-        return named(indenter) if solid is None else from_stl(solid, name=indenter, reach=reach)
-
-
 def ladder_of(spec: WorldSpec, indenter: str) -> Ladder:
     """Return the presses of a World's skin by the indenter of that name."""
     row = row_of(spec)
-    body = body_of(indenter, row)
     with _errors():
         from sim.ladder import Ladder
 
-        return Ladder.of(body, row)
+        return Ladder.of(body_of(indenter, row.body.thickness), row)
 
 
 def ladder_press(spec: WorldSpec, indenter: str) -> LadderPress:
@@ -97,10 +84,10 @@ def ladder_press(spec: WorldSpec, indenter: str) -> LadderPress:
 def live_sensor(spec: WorldSpec, indenter: str) -> LiveSensor:
     """Return the sensor of a World of tier `layer`, under the indenter of that name."""
     row = row_of(spec)
-    body = body_of(indenter, row)
     with _errors():
         from sim.stream import LiveSensor
 
+        body = body_of(indenter, row.body.thickness)
         return LiveSensor(row, body, grid=spec.solver.grid)
 
 
