@@ -194,19 +194,12 @@ class Onlooker(Protocol):
     """Display of a running collection that may pause or end it, such as the monitoring page."""
 
     def begin(
-        self,
-        control: Control,
-        progress: Callable[[], Mapping[str, Any]],
-        session: Path,
-        first: int,
+        self, control: Control, progress: Callable[[], Mapping[str, Any]], session: Path, first: int
     ) -> None:
-        """Show a running collection.
+        """Show a running collection, whose first target is `first`; send requests to `control`.
 
-        Args:
-            control: Receives the requests.
-            progress: Returns the progress, as `LiveLine.progress`; may be called in any thread.
-            session: Path of its session, which has the outcomes of targets before `first`.
-            first: First target of this run.
+        `progress` returns that of `LiveLine.progress`, in any thread. The session at this path has
+        the outcomes of the targets before.
         """
 
     def say(self, status: str, reason: str = "") -> None:
@@ -227,10 +220,7 @@ class DeadManReleased(Exception):
 
 
 class Interlocks:
-    """Interlocks of a bench, its gripper and its pedal, if any; a context manager.
-
-    A pedal of mode `pause` pauses `control`.
-    """
+    """Gripper and pedal of a bench, if any; a pedal of mode `pause` pauses `control`."""
 
     def __init__(self, bench: Bench, control: Control, clock: Clock) -> None:
         self._timeout = bench.preflight.timeout
@@ -282,10 +272,7 @@ class Interlocks:
         return description
 
     def check(self, *, pressing: bool = False) -> None:
-        """Raise if an interlock forbids continuing.
-
-        If the arm presses, or is about to, a dead-man pedal must be held.
-        """
+        """Raise if an interlock forbids to go on, such as a released dead-man pedal in a press."""
         with contextlib.suppress(BlockingIOError):
             while self.wake.recv(64):
                 pass

@@ -320,12 +320,8 @@ def axes(
 ) -> Finding:
     """Return the finding of pushes along +x and +y, by the changes (2,) that a stream showed.
 
-    Args:
-        row: The stream.
-        along_x: Change by a push along +x, as of `direction`.
-        along_y: Change by a push along +y.
-        still: Largest change while a finger was held still.
-        expected: Force that is expected of the finger [N].
+    The changes are those of `direction`, `still` the largest one while a finger was held still.
+    The force that is expected of the finger is in [N].
     """
     name = f"{row.name} axes"
     state: State = "FAULT" if row.kind == "force" else "note"
@@ -359,10 +355,7 @@ def _nearest(way: np.ndarray) -> str:
 
 
 def touch(bench: Bench, before: Sequence[Any], after: Sequence[Any]) -> Finding:
-    """Return the finding of a light touch, which the signal must show on a bench without a gauge.
-
-    Of the samples `before` are those without contact, 16 or more.
-    """
+    """Return the finding of a light touch by the signal, after 16 or more samples `before` it."""
     stand_ins, row, _ = bench.without_gauge
     level = SignalLevel(is_image=row.kind == "camera")
     for sample in before:

@@ -170,9 +170,7 @@ class StreamKind:
 # guard.
 KINDS = {
     "force": StreamKind(
-        force_spec,
-        lambda sample, row: (sample["t_ns"], sample["status"], sample["value"]),
-        True,
+        force_spec, lambda sample, row: (sample["t_ns"], sample["status"], sample["value"]), True
     ),
     "pose": StreamKind(
         pose_spec,
@@ -187,16 +185,10 @@ KINDS = {
         False,
     ),
     "arm_wrench": StreamKind(
-        arm_wrench_spec,
-        lambda sample, row: (sample["t_ns"], 0, sample["value"]),
-        True,
+        arm_wrench_spec, lambda sample, row: (sample["t_ns"], 0, sample["value"]), True
     ),
     "camera": StreamKind(camera_spec, lambda sample, row: (sample["t_ns"], row), False),
-    "taxels": StreamKind(
-        taxels_spec,
-        lambda sample, row: (sample["t_ns"], sample["value"]),
-        True,
-    ),
+    "taxels": StreamKind(taxels_spec, lambda sample, row: (sample["t_ns"], sample["value"]), True),
 }
 
 _READING = Column(

@@ -9,12 +9,7 @@ from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
 from recorder.command_line.terminal import State, paint, wrapped
 from rig.acquire.calibration import store
 from rig.acquire.doctor import Finding, examine
-from rig.cli.options import (
-    bench_command,
-    bench_options,
-    calibration_options,
-    chosen_bench,
-)
+from rig.cli.options import bench_command, bench_options, calibration_options, chosen_bench
 from rig.cli.recording import started_bench
 from rig.core.clock import SystemClock
 
@@ -52,10 +47,7 @@ def run(options: argparse.Namespace) -> int:
     print(f"{kind} {file.path}: {', '.join(parts)}; nothing moves", flush=True)
     logging.getLogger("rig").setLevel(logging.ERROR)
     faults = 0
-    with (
-        tempfile.TemporaryDirectory(prefix="tactile-rig-") as folder,
-        started_bench(file) as on,
-    ):
+    with tempfile.TemporaryDirectory(prefix="tactile-rig-") as folder, started_bench(file) as on:
         for finding in examine(on.file.bench, Path(folder), options.out, SystemClock(), on.watch):
             faults += finding.state == "FAULT"
             show(finding)

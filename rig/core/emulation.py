@@ -121,10 +121,7 @@ NO_CONTACT_DEPTH = -0.01
 
 
 class SharedWorld(AwaitedRecord):
-    """World published by another process in a `SharedLatest` file, which may be created later.
-
-    Without a file nothing ever touches the sensor.
-    """
+    """World that another process publishes, maybe later; without a file nothing touches it."""
 
     def __init__(self, path: Path | None) -> None:
         super().__init__(path, WORLD_STATE)
@@ -141,10 +138,7 @@ class SharedWorld(AwaitedRecord):
 
 
 class DeviceServer(ThreadingHTTPServer):
-    """HTTP server of an emulated device, without a host name.
-
-    While `faults` has the device unplugged, every client is rejected.
-    """
+    """HTTP server of an emulated device, without a host name; unplugged, it rejects all clients."""
 
     daemon_threads = True
 

@@ -139,10 +139,7 @@ def judge_safety(status: int) -> Violation | None:
 
 
 def outside_box(limits: GuardLimits, contact_frame: ArrayLike, position: ArrayLike) -> str | None:
-    """Return the reason why a TCP position (3,) in the base frame [m] is outside the box, or None.
-
-    The box is in the contact frame, a pose (6,) in the base frame [m, rad].
-    """
+    """Return why a TCP position (3,) [m] is outside the box of the contact frame (6,), or None."""
     return _box_reason(limits, transform(invert(contact_frame), position))
 
 
@@ -172,8 +169,7 @@ def stale(
     if age_ns <= round(limit * SECOND_NS):
         return None
     return Violation(
-        kind,
-        f"newest {record} is {age_ns / 1e6:.0f} ms old, allowed {limit * 1e3:.0f} ms; {cause}",
+        kind, f"newest {record} is {age_ns / 1e6:.0f} ms old, allowed {limit * 1e3:.0f} ms; {cause}"
     )
 
 
@@ -184,13 +180,10 @@ class Guard(Protocol):
     """Dtype of the record."""
 
     def check(self, now_ns: int, records: np.ndarray | None, mode: Mode) -> Violation | None:
-        """Return the reason to stop now, or None.
+        """Return the reason to stop at `now_ns`, in a motion of this mode, or None.
 
-        Args:
-            now_ns: Time [ns].
-            records: All records (n,) since the last check, oldest first; the newest again if none
-                is new; None before the first.
-            mode: Current motion of the arm.
+        `records` (n,) are all since the last check, oldest first; the newest again if none is new;
+        None before the first.
         """
 
 

@@ -35,11 +35,7 @@ def enable_realtime(priority: int = RIG_PRIORITY) -> dict[str, bool]:
 
 
 def take_priority(priority: int) -> bool:
-    """Run this thread, and those that it starts, before all others of less priority, 1 to 99.
-
-    Returns:
-        True if the system grants it.
-    """
+    """Run this thread, and those it starts, at a priority of 1 to 99; return True if granted."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except (OSError, AttributeError):

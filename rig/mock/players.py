@@ -33,10 +33,7 @@ PLAYED_BY = {
 
 
 class Players(ProcessGroup):
-    """Starts, cues and ends the emulators of a run, each at its own loopback address.
-
-    `speed` is a multiple of the recorded one; 0: as fast as read.
-    """
+    """Starts, cues and ends the emulators of a run, at their hosts; speed 0: as fast as read."""
 
     def __init__(
         self,
@@ -166,12 +163,7 @@ def _device(session: Session, name: str, host: str, speed: float) -> Any:
         (taxels, axes) = stream.layout.columns[0].column.shape
         address = f"ws://{host}:5000"
         return XelaConfig(
-            address,
-            rows=1,
-            columns=taxels,
-            axes=axes,
-            rate_hz=stated_rate(stream),
-            silence=silence,
+            address, rows=1, columns=taxels, axes=axes, rate_hz=stated_rate(stream), silence=silence
         )
     height, width, _ = stream.layout.columns[0].column.shape
     return MjpegConfig(

@@ -119,10 +119,7 @@ class Wrist:
 
     The errors are those that Universal Robots states for the e-Series (accuracy 4 N, precision
     3.5 N), and a gain that is up to 30 % wrong, as with a wrong payload or a moment on the flange.
-
-    Args:
-        seed: Determines the errors.
-        payload_error: True payload minus the one that is set in the controller [kg].
+    The true payload is that of the controller plus `payload_error` [kg].
     """
 
     GAIN, BIAS, DRIFT, NOISE = 0.3, 4.0, 0.02, 0.15
@@ -144,12 +141,9 @@ class Wrist:
 
 
 class PoseError:
-    """Errors of a reported pose: noise of its position, and a vector that flips its sign.
+    """Errors of a reported pose: noise of its position [m], and a vector that flips its sign.
 
-    Args:
-        jitter: Standard deviation of the position along each axis [m].
-        flipped: Report every other tenth of a second the opposite vector of the same rotation.
-        seed: Seed of the noise.
+    If flipped, every other tenth of a second has the opposite vector of the same rotation.
     """
 
     def __init__(self, jitter: float, flipped: bool, seed: int) -> None:

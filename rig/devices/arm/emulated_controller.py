@@ -181,12 +181,7 @@ _BRAKING = 10.0
 
 
 class Controller:
-    """UR5e controller of version 5.12 with the arm at rest at `pose`.
-
-    Args:
-        pose: TCP pose (6,) in the base frame at start [m, rad].
-        tcp: TCP (6,) in the flange frame set in the installation [m, rad].
-    """
+    """UR5e controller of version 5.12, its arm at rest at the TCP `pose`, both (6,) [m, rad]."""
 
     def __init__(self, pose: Array, tcp: Array) -> None:
         self.robot = Robot(pose, tcp)

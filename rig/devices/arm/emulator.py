@@ -250,14 +250,8 @@ class ArmEmulator(Emulator):
     """Serves a `Controller` at 500 Hz against absolute deadlines, on a background thread.
 
     `missed` counts cycles of host time for which the emulated controller's clock stood still.
-
-    Args:
-        host: Loopback address to listen on.
-        controller: The controller to serve.
-        clock: Paces the cycles.
-        state: ARM_TRUTH record for each cycle's pose.
-        world: Source of the contact force.
-        playback: Recorded poses, or wrenches of an arm, to report; None: the controller's own.
+    `state` is the ARM_TRUTH record of each cycle's pose, `world` has the contact force. A playback
+    has recorded poses, or wrenches of an arm, which are reported in place of the controller's own.
     """
 
     def __init__(

@@ -319,10 +319,7 @@ class Mover:
         return Move(number, goal, config.travel_speed, config.travel_acceleration, "retreat")
 
     def move(self, command: Move, on_start: Callable[[float], None]) -> Reply:
-        """Execute a move and return its result.
-
-        `on_start` is called at the start with the longest time the move can take [s].
-        """
+        """Execute a move and return its result; `on_start` gets the longest time it takes [s]."""
         start_ns = self._clock.now_ns()
         goal = np.array(command.pose)
         if command.mode != "retreat":
@@ -506,12 +503,7 @@ class Motion:
     """
 
     def __init__(
-        self,
-        setup: Setup,
-        pipe: Connection,
-        control: UrControl,
-        link: RtdeLink,
-        clock: Clock,
+        self, setup: Setup, pipe: Connection, control: UrControl, link: RtdeLink, clock: Clock
     ) -> None:
         self._pipe: Connection | None = pipe
         self._control = control

@@ -219,10 +219,7 @@ def _require_plausible(pose: tuple[float, ...]) -> None:
 
 
 class RtdePoseDriver(ReceivingDriver):
-    """Pose stream of a recording: an `RtdeLink` read by a dedicated thread.
-
-    Its columns are those of `RtdeLink`.
-    """
+    """Pose stream of a recording: an `RtdeLink`, with its columns, read by a dedicated thread."""
 
     MORE: ClassVar[Mapping[str, str]] = {}
     """Further variables to stream, and the names of their columns."""

@@ -32,14 +32,7 @@ import numpy.typing as npt
 
 from recorder.natural_order import natural_key
 from rig.core.clock import SECOND_NS, Clock, Pacer
-from rig.core.emulation import (
-    DeviceHandler,
-    DeviceServer,
-    Emulator,
-    Newest,
-    Served,
-    SharedWorld,
-)
+from rig.core.emulation import DeviceHandler, DeviceServer, Emulator, Newest, Served, SharedWorld
 from rig.core.errors import ConfigError
 from rig.core.fault_injection import FaultInjector
 from rig.core.playback import PlayableConfig, Playback
@@ -77,12 +70,7 @@ def rendered(view: Callable[[np.void], Image]) -> FrameSource:
 
 
 def looped(path: Path, *, hold: int = 1) -> FrameSource:
-    """Return the source that loops over the pictures of a folder or a video, whatever the state.
-
-    Args:
-        path: A folder of images, shown in natural order, or a video file.
-        hold: Number of ticks for which each picture is shown.
-    """
+    """Return the source that loops over a folder of images or a video, each for `hold` ticks."""
     frames = (jpeg for jpeg in _looped(path) for _ in range(max(hold, 1)))
     first = next(frames, None)
     if first is None:
@@ -221,11 +209,7 @@ class MjpegEmulatorConfig(PlayableConfig):
 class MjpegEmulator(Emulator):
     """Emulated camera: one thread produces frames, one per client sends the newest frame.
 
-    Args:
-        config: Address and rate.
-        source: Source of the picture of each tick, or a recording.
-        world: Source of the state to show; None: frames have the time of their tick.
-        clock: Paces the frames.
+    The source shows the state of a world; without one, frames have the time of their tick.
     """
 
     def __init__(
