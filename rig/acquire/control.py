@@ -12,6 +12,7 @@ import stat
 import sys
 import threading
 from collections.abc import Callable, Mapping
+from functools import partial
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import FrameType
@@ -20,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from recorder.command_line.errors import EXIT_INTERRUPTED, CommandError, failure
 from rig.bench.bench import Bench
 from rig.core.clock import Clock
-from rig.core.errors import ConfigError, DeviceLost, SafetyStop, combined
+from rig.core.errors import DeviceLost, SafetyStop, all_opened
 from rig.devices.hid.settings import PedalConfig
 
 if TYPE_CHECKING:
@@ -239,13 +240,10 @@ class Interlocks:
 
             self._grip = GripWatch(bench.gripper, clock, self._tell)
         if bench.pedal is not None:
-            from rig.devices.hid.drivers import PedalWatch
+            from rig.devices.hid.drivers import DeadMan, PedalWatch
 
             self._pedal = PedalWatch(bench.pedal, clock, self._on_pedal)
-            if bench.pedal.mode == "dead_man":
-                from rig.devices.hid.drivers import DeadMan
-
-                self._dead_man = DeadMan()
+            self._dead_man = DeadMan() if bench.pedal.mode == "dead_man" else None
 
     def __enter__(self) -> Interlocks:
         return self
@@ -255,21 +253,12 @@ class Interlocks:
 
     def open(self) -> dict[str, dict[str, Any]]:
         """Connect to all devices, start watching, and return their properties by device."""
-        description: dict[str, dict[str, Any]] = {}
-        failures: list[Exception] = []
+        opens: dict[str, Callable[[], dict[str, Any]]] = {}
         if self._grip is not None:
-            try:
-                description["gripper"] = self._grip.open(self._timeout)
-            except (ConfigError, DeviceLost) as error:
-                failures.append(error)
+            opens["gripper"] = partial(self._grip.open, self._timeout)
         if self._pedal is not None:
-            try:
-                description["pedal"] = self._pedal.open()
-            except (ConfigError, DeviceLost) as error:
-                failures.append(error)
-        if failures:
-            raise combined(failures)
-        return description
+            opens["pedal"] = self._pedal.open
+        return all_opened(opens)
 
     def check(self, *, pressing: bool = False) -> None:
         """Raise if an interlock forbids to go on, such as a released dead-man pedal in a press."""

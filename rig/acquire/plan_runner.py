@@ -23,7 +23,7 @@ from recorder.session import SessionWriter
 from recorder.spec import OUTCOMES, frame_columns, reference_spec
 from rig.acquire.control import DeadManReleased, Interlocks
 from rig.acquire.streams import Streams, check_no_contact, no_mean, tip_position
-from rig.bench.bench import KINDS
+from rig.bench.bench import AVERAGED
 from rig.core.clock import SECOND_NS
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.guard import Mode
@@ -363,7 +363,7 @@ class PlanRunner:
     def _zero(self, point: int) -> dict[str, dict[str, Any]]:
         """Return the streams' means above a point, and set the zero of guards that stand in."""
         self._check_signal(point)
-        averaged = [row.name for row in self._bench.rows if KINDS[row.kind].averaged]
+        averaged = [row.name for row in self._bench.rows if row.kind in AVERAGED]
         if self._bench.no_gauge and not averaged:
             # The pose paces the wait for images without contact.
             averaged = ["pose"]

@@ -6,6 +6,7 @@ import tempfile
 from pathlib import Path
 
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
+from recorder.command_line.options import add_value
 from recorder.command_line.terminal import State, paint, wrapped
 from rig.acquire.calibration import store
 from rig.acquire.doctor import Finding, examine
@@ -28,13 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "emulators. Exit code 0 if there is no fault, 2 wrong input, 3 a fault."
     )
     parser.epilog = "Example: tactile doctor --sensor tacpalm"
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=SESSIONS,
-        metavar="DIR",
-        help="folder of sessions, whose disk is tested, and of the plan's picture (%(default)s)",
-    )
+    about = "folder of sessions, whose disk is tested, and of the plan's picture"
+    add_value(parser, "--out", "DIR", SESSIONS, about, Path)
     calibration_options(parser)
 
 

@@ -26,7 +26,6 @@ from urllib.parse import SplitResult, urlsplit
 
 import numpy as np
 
-from rig.core.fault_injection import FaultInjector
 from rig.core.realtime import DEVICE_PRIORITY
 from rig.core.samples import WORLD_STATE
 from rig.core.shared_memory import AwaitedRecord
@@ -143,12 +142,10 @@ class DeviceServer(ThreadingHTTPServer):
     daemon_threads = True
 
     def __init__(
-        self,
-        address: tuple[str, int],
-        handler: type[DeviceHandler],
-        faults: FaultInjector[Any] | None = None,
+        self, address: tuple[str, int], handler: type[DeviceHandler], emulator: Any
     ) -> None:
-        self._faults = faults
+        self.emulator = emulator
+        """Emulator of the device, with its `faults`."""
         super().__init__(address, handler)
 
     def server_bind(self) -> None:
@@ -158,7 +155,7 @@ class DeviceServer(ThreadingHTTPServer):
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
         """Reject every client while the device is unplugged."""
-        return self._faults is None or not self._faults.unplugged
+        return not self.emulator.faults.unplugged
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Log at debug level: a client that leaves before its answer is no error."""
@@ -167,6 +164,8 @@ class DeviceServer(ThreadingHTTPServer):
 
 class DeviceHandler(BaseHTTPRequestHandler):
     """Handler of requests to an emulated device."""
+
+    server: DeviceServer
 
     def do_GET(self) -> None:
         """Serve a request."""
@@ -200,8 +199,8 @@ class Emulator:
 
     @property
     def address(self) -> str:
-        """Address for drivers to connect to."""
-        raise NotImplementedError
+        """Address for drivers to connect to, if it is not reached through shared memory alone."""
+        return "shared memory"
 
     def start(self) -> None:
         """Listen and serve; return when clients can connect."""

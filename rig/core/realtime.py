@@ -43,11 +43,11 @@ def take_priority(priority: int) -> bool:
     return True
 
 
-def may_have_priority(priority: int = RIG_PRIORITY) -> bool:
+def may_have_priority() -> bool:
     """Return True if real-time priority is granted; this process stays as it was."""
     try:
         before = os.sched_getscheduler(0), os.sched_getparam(0)
-        if not take_priority(priority):
+        if not take_priority(RIG_PRIORITY):
             return False
         os.sched_setscheduler(0, *before)
     except (OSError, AttributeError):

@@ -11,6 +11,7 @@ import csv
 import io
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -213,9 +214,7 @@ class ForceLine:
     """Prints forces at a readable rate."""
 
     def __init__(self, clock: Clock, out: TextIO) -> None:
-        def write(text: str) -> None:
-            print(text, file=out, flush=True)
-
+        write = partial(print, file=out, flush=True)
         self._line = PacedLine(out, SECOND_NS // 10, SECOND_NS, write)
         self.close = self._line.end
         self._clock = clock

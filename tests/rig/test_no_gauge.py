@@ -27,7 +27,7 @@ from rig.acquire.calibration.store import (
 )
 from rig.acquire.collector import CollectRequest
 from rig.acquire.signal_level import SignalLevel, grey
-from rig.acquire.stream_process import COUNTERS, StreamJob, _StreamLoop
+from rig.acquire.stream_process import COUNTERS, _StreamLoop
 from rig.bench.bench import Bench, BenchFile, bench_from
 from rig.bench.expected import Skin
 from rig.bench.guards import (
@@ -361,7 +361,7 @@ def test_a_zero_is_for_the_guard_and_not_for_what_is_averaged(tmp_path: Path) ->
     ours, theirs = multiprocessing.Pipe()
     driver: Any = SimpleNamespace(dropped=0)
     clock = FakeClock(SECOND_NS)
-    loop = _StreamLoop(StreamJob(name, bench, tmp_path), theirs, driver, clock)
+    loop = _StreamLoop(name, bench, tmp_path, theirs, driver, clock)
     bias = np.array([3.0, -2.0, 4.0, 0.0, 0.0, 0.0])
 
     def measured() -> np.ndarray:

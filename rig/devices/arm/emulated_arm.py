@@ -65,7 +65,7 @@ def flange_pose(joints: Array) -> Array:
     return np.concatenate([flange[:3, 3], vector_from_matrix(flange[:3, :3])])
 
 
-def solve_joints(flange: Array, seed: Array, *, iterations: int = 100) -> Array | None:
+def solve_joints(flange: Array, seed: Array) -> Array | None:
     """Return joint angles (6,) [rad] near `seed` that put the flange at pose (6,), or None.
 
     Damped least squares with a step limit: near `seed` it converges in two or three steps. None
@@ -73,7 +73,7 @@ def solve_joints(flange: Array, seed: Array, *, iterations: int = 100) -> Array 
     """
     goal_turn = matrix_from_vector(flange[3:])
     joints = np.array(seed, np.float64)
-    for _ in range(iterations):
+    for _ in range(100):
         frames = joint_frames(joints)
         end = frames[-1]
         error = np.concatenate(

@@ -193,9 +193,9 @@ class Controller:
         self.wrench = np.zeros(6)
         """On the sensor, from the World [N, N m]; reported as actual_TCP_force unrotated."""
         self.wrist: Wrist | None = None
+        """Errors of that report; None: none."""
         self.pose_error: PoseError | None = None
         """Errors of the reported pose; None: it is exact."""
-        """Errors of that report; None: none."""
         self.tick = 0
         self.runtime_state = STOPPED
         self.safety_status = _NORMAL

@@ -25,6 +25,7 @@ Faults are injected through rig.core.fault_injection, with these in addition:
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import re
 import selectors
@@ -475,10 +476,9 @@ class ArmEmulator(Emulator):
 
 def _shut(peers: Iterable[socket.socket]) -> None:
     for peer in peers:
-        try:
+        # A client may be gone already.
+        with contextlib.suppress(OSError):
             peer.shutdown(socket.SHUT_RDWR)
-        except OSError as error:
-            logger.debug("client already gone: %s", error)
 
 
 Vector = tuple[float, float, float, float, float, float]

@@ -14,9 +14,9 @@ it records. Of a recorded session both get the first picture; then the recorded 
 unchanged, none of them skipped.
 """
 
+import contextlib
 import functools
 import itertools
-import logging
 import queue
 import socket
 import threading
@@ -178,8 +178,6 @@ def _serves_as_it_is(content: bytes) -> bool:
     return is_whole(content) and jpeg_size(content) == SIZE
 
 
-logger = logging.getLogger(__name__)
-
 # How long each image of a still source is shown [s].
 _STILL = 2.0
 # About two frames, so that a slow client does not find old ones waiting.
@@ -242,7 +240,6 @@ class MjpegEmulator(Emulator):
         self._lens = (1.0, 0.0)
         self._late: queue.SimpleQueue[tuple[int, tuple[bytes, ...]] | None] = queue.SimpleQueue()
         self._server: _Server | None = None
-        self._threads: list[threading.Thread] = []
 
     @property
     def address(self) -> str:
@@ -337,10 +334,9 @@ class _Server(DeviceServer):
     daemon_threads = False
 
     def __init__(self, address: tuple[str, int], emulator: MjpegEmulator) -> None:
-        self.emulator = emulator
         self._clients: set[socket.socket] = set()
         self._lock = threading.Lock()
-        super().__init__(address, _StreamHandler, emulator.faults)
+        super().__init__(address, _StreamHandler, emulator)
 
     def get_request(self) -> tuple[socket.socket, Any]:
         """Accept a client, with a send buffer that holds few frames."""
@@ -361,15 +357,12 @@ class _Server(DeviceServer):
         """Wake every thread that is sending."""
         with self._lock:
             for client in self._clients:
-                try:
+                # It may be gone already.
+                with contextlib.suppress(OSError):
                     client.shutdown(socket.SHUT_RDWR)
-                except OSError as error:
-                    logger.debug("client already gone: %s", error)
 
 
 class _StreamHandler(DeviceHandler):
-    server: _Server
-
     def get(self, url: SplitResult) -> None:
         emulator = self.server.emulator
         self.send_response(200)

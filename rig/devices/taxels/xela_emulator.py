@@ -116,7 +116,6 @@ class XelaEmulator(Emulator):
         )
         self._clients: set[ServerConnection] = set()
         self._server: Server | None = None
-        self._threads: list[threading.Thread] = []
 
     @property
     def address(self) -> str:
