@@ -261,7 +261,7 @@ class Interlocks:
         return all_opened(opens)
 
     def check(self, *, pressing: bool = False) -> None:
-        """Raise if an interlock forbids to go on, such as a released dead-man pedal in a press."""
+        """Raise if an interlock forbids it; while pressing, a dead-man pedal must be held."""
         with contextlib.suppress(BlockingIOError):
             while self.wake.recv(64):
                 pass

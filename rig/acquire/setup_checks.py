@@ -349,7 +349,10 @@ def _nearest(way: np.ndarray) -> str:
 
 
 def touch(bench: Bench, before: Sequence[Any], after: Sequence[Any]) -> Finding:
-    """Return the finding of a light touch by the signal, after 16 or more samples `before` it."""
+    """Return the finding of a light touch, which the signal must show on a bench without a gauge.
+
+    Of the samples `before` are those without contact, 16 or more.
+    """
     stand_ins, row, _ = bench.without_gauge
     level = SignalLevel(is_image=row.kind == "camera")
     for sample in before:

@@ -127,7 +127,10 @@ def judge_safety(status: int) -> Violation | None:
 
 
 def outside_box(limits: GuardLimits, contact_frame: ArrayLike, position: ArrayLike) -> str | None:
-    """Return why a TCP position (3,) [m] is outside the box of the contact frame (6,), or None."""
+    """Return the reason why a TCP position (3,) in the base frame [m] is outside the box, or None.
+
+    The box is in the contact frame, a pose (6,) in the base frame [m, rad].
+    """
     return _box_reason(limits, transform(invert(contact_frame), position))
 
 

@@ -181,7 +181,7 @@ _BRAKING = 10.0
 
 
 class Controller:
-    """UR5e controller of version 5.12, its arm at rest at the TCP `pose`, both (6,) [m, rad]."""
+    """UR5e controller of version 5.12, at rest at `pose` with the `tcp` in the flange [m, rad]."""
 
     def __init__(self, pose: Array, tcp: Array) -> None:
         self.robot = Robot(pose, tcp)

@@ -14,7 +14,7 @@ from rig.mock.world.sensors import dome_of, ladder_press, row_of
 
 
 class LadderWorld:
-    """Moves a press of `sim.ladder` along the arm's path."""
+    """Moves a press of `sim.ladder` along the arm's path; `contact_frame` is in the base."""
 
     def __init__(self, spec: WorldSpec, indenter: str, contact_frame: tuple[float, ...]) -> None:
         dome = dome_of(row_of(spec), spec.tier)

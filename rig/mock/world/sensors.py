@@ -124,7 +124,10 @@ def taxels_of(spec: WorldSpec) -> tuple[int, int]:
 
 
 def pad_of(spec: WorldSpec) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-    """Return points (n, 2) [m] of a pad, and the counts (taxels, 3) of their moves (n, 3) [m]."""
+    """Return a pad's points (n, 2) [m], and a function of their displacement (n, 3) [m].
+
+    The function returns raw counts (taxels, 3).
+    """
     from sim.sensors import SurfaceField, TaxelPad, TaxelSignal
 
     row = row_of(spec)
