@@ -410,7 +410,8 @@ def train_field(
                 held = None
 
         # Optimiser
-        rate = Cosine(stage.learning_rate, stage.steps, min(stage.warm_up_steps, stage.steps - 1))
+        warm_up = min(stage.warm_up_steps, stage.steps - 1)
+        rate = Cosine(stage.learning_rate, warm_up, steps=stage.steps)
         optimiser = torch.optim.AdamW(
             network.parameters(), lr=stage.learning_rate, weight_decay=settings.weight_decay
         )
