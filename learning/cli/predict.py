@@ -31,20 +31,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "with the labels [N], if it has any, for `evaluate`. A model of `transfer` has intervals, "
         "which are written too."
     )
-    parser.add_argument(
+    add = parser.add_argument
+    add(
         "model",
         metavar="MODEL",
         help="folder of a trained force model, its web address, demo, or the name of one that an "
         "installed package offers",
     )
-    parser.add_argument(
-        "archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr, with labels or without"
-    )
-    parser.add_argument(
-        "--sensor", metavar="NAME", help="target sensor (that of the model, or the only one)"
-    )
-    parser.add_argument("--split", type=Path, metavar="JSON", help="roles of presses (the model's)")
-    parser.add_argument(
+    add("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr, with labels or without")
+    add("--sensor", metavar="NAME", help="target sensor (that of the model, or the only one)")
+    add("--split", type=Path, metavar="JSON", help="roles of presses (the model's)")
+    add(
         "--role",
         type=names,
         default=ROLES,
@@ -52,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"which presses of the split ({ROLES})",
     )
     add_device(parser)
-    parser.add_argument("--out", type=Path, required=True, metavar="NPZ", help="file to write")
+    add("--out", type=Path, required=True, metavar="NPZ", help="file to write")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -98,8 +98,7 @@ class SequenceSettings:
 
     def __post_init__(self) -> None:
         require(self, "batch", "presses", least=1)
-        if not 0.0 <= self.superpose <= 1.0:
-            raise LearningError(f"superpose: found {self.superpose}; allowed: 0 to 1")
+        require(self, "superpose", least=0, most=1)
 
 
 @dataclass(frozen=True, slots=True)

@@ -147,7 +147,10 @@ class RunFolder:
         building.mkdir(parents=True)
         for name, model in models.items():
             save_weights(model, building / f"{name}.safetensors")
-        states = {name: _state(value) for name, value in training.items()}
+        states = {
+            name: value.state_dict() if hasattr(value, "state_dict") else value
+            for name, value in training.items()
+        }
         torch.save({**states, _RNG: _rng_state()}, building / TRAINING)
         _read_training(building / TRAINING)
         replace(self.config, step=step, score=score).write(building)
@@ -271,10 +274,6 @@ def _plain(value: float | str) -> float | str | None:
         return value
     number = float(value)
     return number if math.isfinite(number) else None
-
-
-def _state(value: Any) -> Any:
-    return value.state_dict() if hasattr(value, "state_dict") else value
 
 
 def _read_training(path: Path) -> dict[str, Any]:

@@ -207,12 +207,9 @@ class SensorWriter:
     ) -> None:
         """Write one whole unit. A unit that is already finished is not changed.
 
-        Args:
-            unit: Number of the unit.
-            packed: Frames of its n rows: packed masks (n, 38400), or as the representation.
-            table: The columns of `GIVEN`, n values each.
-            source: One provenance line per row; rows of one press share theirs.
-            displacement: Fields (n, *lattice.shape) [px], if the plan has a lattice.
+        Its n frames are packed masks (n, 38400), or as the representation; the table has columns
+        `GIVEN`, n values each, and `source` a provenance line per row; rows of one press share
+        theirs. If the plan has a lattice, there are fields (n, *lattice.shape) [px].
 
         Raises:
             SessionError: Data that does not match the plan, or a value that is not allowed.

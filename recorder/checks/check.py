@@ -513,19 +513,13 @@ def _clock_steps(
     if device_t is None or not np.isfinite(device_t).all():
         return np.zeros(0, np.intp)
     offset = (t_ns - t_ns[0]) * NS - (device_t - device_t[0])
-    step_rows = [
-        at
-        for at in map(int, np.flatnonzero(np.abs(np.diff(offset)) > limit))
-        if abs(_level(offset, at + 1, 1) - _level(offset, at, -1)) > limit / 2
-    ]
+    step_rows = []
+    for at in map(int, np.flatnonzero(np.abs(np.diff(offset)) > limit)):
+        before = offset[max(at - _STEP_SAMPLES + 1, 0) : at + 1]
+        after = offset[at + 1 : at + 1 + _STEP_SAMPLES]
+        if abs(np.median(after) - np.median(before)) > limit / 2:
+            step_rows.append(at)
     return np.array(step_rows, np.intp)
-
-
-def _level(offset: NDArray[np.float64], at: int, direction: int) -> float:
-    """Return the median of the samples from row `at` on, forward or backward."""
-    if direction > 0:
-        return float(np.median(offset[at : at + _STEP_SAMPLES]))
-    return float(np.median(offset[max(at - _STEP_SAMPLES + 1, 0) : at + 1]))
 
 
 def _check_frozen(
