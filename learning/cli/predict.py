@@ -12,7 +12,7 @@ import numpy as np
 
 from learning.errors import LearningError
 from learning.evaluation.predictions import Predictions
-from learning.metrics import axis_means, force_errors
+from learning.metrics import axis_means, by_axis, force_errors
 from recorder.command_line.options import add_device, names
 from recorder.progress import ItemProgress
 
@@ -134,13 +134,10 @@ def _accuracy(predictions: Predictions) -> str:
         )
         return f"no label to compare with; predicted [N] {ranges}"
     errors = force_errors(predictions.true, predictions.predicted, predictions.label_std)
-    mae = "  ".join(
-        f"{name} {value:.3f}" if np.isfinite(value) else f"{name} -"
-        for name, value in zip("xyzt", errors.mae, strict=True)
-    )
     labelled = (
         f", {errors.frames:,} of them with a label" if errors.frames < len(predictions) else ""
     )
+    mae = by_axis("xyzt", errors.mae)
     return f"MAE [N] {mae}, R2{errors.of_axes} {errors.r2_mean:.3f}{labelled}"
 
 

@@ -217,9 +217,6 @@ def _require_room(samples: list[Sample], workers: int) -> None:
         )
 
 
-# Recordings
-
-
 class _OfSession:
     """Windows of a session, at the rows of its `frames`."""
 

@@ -274,7 +274,7 @@ class ForceRow:
     role: str
     """Role of the frames in the split; `all`: unseen and seen indenters together."""
     errors: ForceErrors
-    label_range: tuple[float, float, float, float]
+    label_range: tuple[float, ...]
     """Range of Fx, Fy, Fz, Ft of the target's labels [N]."""
 
     @property
@@ -312,8 +312,7 @@ def force_rows(predictions: Iterable[Predictions]) -> tuple[ForceRow, ...]:
             if not can_be_scored(one.true[chosen], one.predicted[chosen]):
                 continue
             errors = force_errors(one.true[chosen], one.predicted[chosen], one.label_std)
-            low = tuple(one.label_range.tolist())
-            rows.append(ForceRow(*one.key, role, errors, (low[0], low[1], low[2], low[3])))
+            rows.append(ForceRow(*one.key, role, errors, tuple(one.label_range.tolist())))
     return tuple(rows)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -217,17 +216,13 @@ def _errors(model: ForceModel, presses: Presses) -> str:
     import numpy as np
 
     from learning.force.model import AXES
-    from learning.metrics import axis_means
+    from learning.metrics import axis_means, by_axis
 
     if not presses.is_labelled:
         return f"{presses.sensor}: no label in validation"
     true = presses.wrench.cpu().numpy().astype(np.float64)
     off = axis_means(abs(model.predict(presses) - true)).tolist()
-    by = "  ".join(
-        f"{axis} {off_n:.3f}" if math.isfinite(off_n) else f"{axis} -"
-        for axis, off_n in zip(AXES, off, strict=True)
-    )
-    return f"{presses.sensor}: off in validation by {by} N"
+    return f"{presses.sensor}: off in validation by {by_axis(AXES, off)} N"
 
 
 def _with_intervals(

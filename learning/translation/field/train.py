@@ -341,8 +341,6 @@ def _means(scores: dict[str, list[Tensor]]) -> dict[str, float]:
     return {name: float(values.mean()) for name, values in joined.items() if len(values)}
 
 
-# Loop
-
 _OF_UNKNOWN = 4  # one of this many pairs is also evaluated under random patterns
 _LOG_EVERY_STEPS = 20
 
@@ -461,9 +459,6 @@ def train_field(
     if done == steps:
         run.finish(done, {"model": model})
     return model.eval()
-
-
-# Command
 
 
 def run(options: argparse.Namespace) -> int:
