@@ -369,13 +369,12 @@ def seed_torch(seed: int, *words: str | int) -> None:
 
 
 def batch(
-    seed: int, step: int, size: int, count: int, *, rank: int = 0, ranks: int = 1, what: str = ""
+    seed: int, step: int, size: int, count: int, *, rank: int = 0, ranks: int = 1
 ) -> NDArray[np.int64]:
     """Return the items of `count` that a process sees in a step (size,), without repeats in a pass.
 
     Each pass covers all items, in its own order, before the next begins; a batch may span two
     passes. The processes (`rank` of `ranks`) of one step see different parts of the same order.
-    `what` names the choice, if there are several.
     """
     if count < 1 or size < 1:
         raise LearningError(f"batch: found {size} of {count}; allowed: 1 and more of 1 and more")
@@ -385,14 +384,14 @@ def batch(
     chosen = np.empty(size, np.int64)
     for number in np.unique(passes).tolist():
         here = passes == number
-        chosen[here] = _order(seed, what, number, count)[within[here]]
+        chosen[here] = _order(seed, number, count)[within[here]]
     return chosen
 
 
 @functools.lru_cache(maxsize=8)
-def _order(seed: int, what: str, number: int, count: int) -> NDArray[np.int64]:
+def _order(seed: int, number: int, count: int) -> NDArray[np.int64]:
     """Return the order of one pass."""
-    order = generator(seed, "order", what, number).permutation(count).astype(np.int64)
+    order = generator(seed, "order", "", number).permutation(count).astype(np.int64)
     order.setflags(write=False)
     return order
 
