@@ -143,18 +143,15 @@ def _accuracy(predictions: Predictions) -> str:
 
 def _covered(predictions: Predictions) -> str:
     """Return the mean half-widths of the intervals, and the share of labels within them."""
-    width = axis_means(0.5 * (predictions.high - predictions.low))
+    true, low, high = predictions.true, predictions.low, predictions.high
+    width = axis_means(0.5 * (high - low))
+    inside, known = (low <= true) & (true <= high), np.isfinite(true) & np.isfinite(low)
     shares = []
     for column, axis in enumerate(AXES):
-        labelled = np.isfinite(predictions.true[:, column]) & np.isfinite(
-            predictions.low[:, column]
-        )
+        labelled = known[:, column]
         if np.isfinite(width[column]):
             text = f"{axis} +-{width[column]:.3f} N"
             if labelled.any():
-                inside = (predictions.low <= predictions.true) & (
-                    predictions.true <= predictions.high
-                )
                 text += f" covers {100 * inside[labelled, column].mean():.1f} %"
             shares.append(text)
     return f"90 % intervals, in the mean: {', '.join(shares)}"

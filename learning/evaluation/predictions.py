@@ -32,18 +32,8 @@ KIND = "predictions"
 # by twins of both sensors; by the choice that fits the target's labels best; the target's own
 # labels; and these by ridge regression on a few features instead of a network.
 BASELINE = "baseline"
-METHODS = (
-    "source-only",
-    "transferred",
-    "compensated",
-    "priors",
-    SIMULATED,
-    "oracle",
-    "target",
-    BASELINE,
-)
-# Methods with translated images.
-TRANSLATED = METHODS[1:6]
+TRANSLATED = ("transferred", "compensated", "priors", SIMULATED, "oracle")
+METHODS = ("source-only", *TRANSLATED, "target", BASELINE)
 # Those that need no label of the target, in order of the knowledge of the skins that they use.
 LABEL_FREE = TRANSLATED[:4]
 

@@ -298,13 +298,8 @@ def _embeddings(scores: Sequence[TranslationScores]) -> bytes:
 
 
 # File names of a report.
-PAGE, FORCE, UNSCORED, PAIRED, DISTANCES = (
-    "report.html",
-    "force.csv",
-    "unscored.csv",
-    "translation.csv",
-    "distances.csv",
-)
+PAGE, FORCE, UNSCORED = "report.html", "force.csv", "unscored.csv"
+PAIRED, DISTANCES = "translation.csv", "distances.csv"
 
 
 @dataclass(frozen=True, slots=True)

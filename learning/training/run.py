@@ -456,10 +456,6 @@ class Stop:
             raise KeyboardInterrupt
 
 
-def _no_progress(done: int, total: int) -> None:
-    """Report progress to nobody."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingSession:
     """Surroundings of a training: where it computes and writes, who stops and watches it."""
@@ -470,9 +466,9 @@ class TrainingSession:
     """Folder from which it resumes, for log, checkpoints and model."""
     stop: Stop = field(default_factory=Stop)
     """Ctrl-C handler; enter it only where the current step can be completed first."""
-    progress: ReportItems = _no_progress
+    progress: ReportItems = lambda done, total: None
     """Called with the number of steps done and the total."""
-    reading: ReportItems = _no_progress
+    reading: ReportItems = lambda done, total: None
     """Called likewise as data is read."""
 
     @property
