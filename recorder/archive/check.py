@@ -170,14 +170,10 @@ def _prescribed(sensor: ArchivedSensor, name: str, stored: Kind) -> Kind:
 
 
 def _layouts(sensor: ArchivedSensor) -> dict[str, ArchiveArray]:
-    names = [
-        sensor.representation.array,
-        "references",
-        "sources",
-        *(f"table/{name}" for name in COLUMNS),
-    ]
+    names = [sensor.representation.array, "references", "sources"]
     columns = {group.name for group in sensor.files.groups(sensor.path / "table")}
-    names += [f"table/{name}" for name in SIMULATED if name in columns]
+    simulated = [name for name in SIMULATED if name in columns]
+    names += [f"table/{name}" for name in (*COLUMNS, *simulated)]
     if sensor.keeps_displacement:
         names.insert(1, "displacement")
     return {name: ArchiveArray.load(sensor.path / name, sensor.files) for name in names}
@@ -187,14 +183,14 @@ def _check_chunks(sensor: ArchivedSensor) -> Iterator[Finding]:
     """Decode every chunk, which verifies its checksum."""
     for name, layout in _layouts(sensor).items():
         reader = ColumnReader(layout)
-        missing: list[str] = []
-        damaged: list[str] = []
+        faults: dict[str, list[str]] = {"missing-chunk": [], "bad-crc": []}
         for number in range(-(-len(reader) // layout.rows_per_chunk)):
             try:
                 layout.decoded(reader.chunk(number))
             except SessionError as error:
-                (missing if str(error).endswith("missing") else damaged).append(str(error))
-        for code, messages in (("missing-chunk", missing), ("bad-crc", damaged)):
+                code = "missing-chunk" if str(error).endswith("missing") else "bad-crc"
+                faults[code].append(str(error))
+        for code, messages in faults.items():
             if messages:
                 message = f"{len(messages)} found, first: {messages[0]}"
                 yield Finding(code, f"{sensor.name}/{name}", message)

@@ -30,13 +30,13 @@ from recorder.archive.format import (
     begin,
     checked_columns,
     column_array,
-    mark_complete,
     read_archive_attrs,
     read_sensor,
     write_table,
 )
 from recorder.archive.reader import ArchivedSensor, Simulated
 from recorder.errors import SessionError
+from recorder.store.documents import merge_attrs
 from recorder.store.files import TEMPORARY, replace_file, sync_directory
 from recorder.store.layout import Array
 
@@ -148,7 +148,7 @@ class ArchiveWriter:
         if not self.complete:
             for sensor in self.sensors.values():
                 sensor.write_table(self._indenters)
-            mark_complete(self.path)
+            merge_attrs(self.path, {"status": COMPLETE})
         for sensor in self.sensors.values():
             sensor.ledger.remove()
         for left in self.path.rglob(f"*{TEMPORARY}"):
