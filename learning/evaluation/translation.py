@@ -283,11 +283,14 @@ def scores_in(results: Results, path: Path) -> TranslationScores:
         raise LearningError(f"{path}: found {results.kind}; allowed: {KIND}")
     reported = results.reported
     try:
+        texts: dict[str, Any] = {name: str(reported[name]) for name in _TEXTS}
         return TranslationScores(
-            *(str(reported[name]) for name in _TEXTS),
-            tuple(PairedScore(**_numbers(row, PairedScore)) for row in reported["paired"]),
-            tuple(DistanceScore(**_numbers(row, DistanceScore)) for row in reported["distances"]),
-            results.arrays,
+            **texts,
+            paired=tuple(PairedScore(**_numbers(row, PairedScore)) for row in reported["paired"]),
+            distances=tuple(
+                DistanceScore(**_numbers(row, DistanceScore)) for row in reported["distances"]
+            ),
+            features=results.arrays,
         )
     except (KeyError, TypeError) as error:
         raise LearningError(f"{path}: found no translation scores: {error!r}") from None

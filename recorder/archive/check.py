@@ -77,20 +77,6 @@ def _field(sensor: ArchivedSensor, batch: NDArray[np.int64], frame: int) -> NDAr
 
 Kind = tuple[str, tuple[int, ...], str]
 
-# All finding codes of an archive check.
-CODES = {
-    "unfinished": "units or tables are missing",
-    "metadata": "a zarr.json that is missing or does not match the format",
-    "wrong-dtype": "a column whose type, shape or unit differs from the specification",
-    "unequal-lengths": "a column whose length differs from the number of frames",
-    "missing-chunk": "a chunk that an array declares but that does not exist",
-    "bad-crc": "bytes that differ from those written",
-    "nan": "values that are not numbers where numbers are required",
-    "bad-code": "codes without a name, and invalid row references",
-    "marker-count": "frames whose markers differ from those of their reference",
-    "left-behind": "files that exist only while an archive is being written",
-}
-
 _NAMED = 3  # number of rows for which a finding gives the reason
 _LISTED = 20  # number of rows that a finding lists
 

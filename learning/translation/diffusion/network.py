@@ -471,10 +471,6 @@ class MarkerVae(nn.Module):
         divergence = 0.5 * (encoded.mean**2 + variance - variance.log() - 1).sum(dim=(1, 2, 3))
         return true, reconstruction, divergence
 
-    def adapter(self) -> dict[str, torch.Tensor]:
-        """Return the adapter's tensors under the names of the translator's autoencoder."""
-        return {name: one for name, one in self.vae.state_dict().items() if is_adapter(name)}
-
     def latent(self, images: torch.Tensor) -> torch.Tensor:
         """Return the mean latents (n, channels, h/8, w/8) of images (n, 1, h, w) in [0, 1]."""
         return posterior(self.vae, self._native(images), 1.0).mean
