@@ -32,7 +32,6 @@ from recorder.archive import (
     marker_flags,
     press_rows,
 )
-from recorder.archive.check import CODES
 from recorder.markers import HEIGHT, WIDTH, Lattice, pack
 from recorder.spec import PHASES
 from tactile.__main__ import main
@@ -666,10 +665,6 @@ def test_a_planted_fault_is_found_and_nothing_else(name: str, copy: Path) -> Non
     assert check(copy) == []
     plant(copy)
     assert [(finding.code, finding.where) for finding in check(copy)] == [(code, where)]
-
-
-def test_every_code_of_a_check_is_planted() -> None:
-    assert {code for code, _, _ in FAULTS.values()} | {"marker-count"} == set(CODES)
 
 
 def archive_of_one(path: Path, sensor: SensorPlan, packed: Any = PACKED) -> Path:
