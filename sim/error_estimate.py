@@ -15,13 +15,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.indenters import Indenter
 from sim.result import WEAK, Outcome, Result, force_scale
 from sim.scene import Scene
 
-Array = NDArray[np.float64]
 Normal = tuple[float, float]
 
 # Error of the force at fineness 1 (12 elements across the contact): it falls with the square of the

@@ -249,13 +249,8 @@ class Factors:
 
     def make(self, active, matrix) -> None:
         """Factor the columns of active environments, from the blocks (B, N, 27) of the tangent."""
-        wp.launch(
-            self._kernel,
-            dim=(self._environments, self.columns),
-            inputs=[self._free, active, matrix],
-            outputs=[self.arrays],
-            device=self._device,
-        )
+        columns, inputs = (self._environments, self.columns), [self._free, active, matrix]
+        wp.launch(self._kernel, columns, inputs, [self.arrays], device=self._device)
 
 
 # Multigrid: columns on the mesh, corrected on ever coarser grids in plan.
