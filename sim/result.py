@@ -58,11 +58,15 @@ class Quality:
     """Number of steps taken for the frame, including failed ones."""
 
 
-def no_quality(frames: int) -> dict[str, Array]:
-    """Return NaN for each error measure of every frame, by name; without the counts."""
-    counts = ("newton", "cg", "steps")
-    measures = (one.name for one in dataclasses.fields(Quality) if one.name not in counts)
-    return {name: np.full(frames, np.nan) for name in measures}
+COUNTS = ("newton", "cg", "steps")
+
+
+def no_quality(frames: int) -> dict[str, NDArray[Any]]:
+    """Return NaN for each error measure of every frame, and 0 for each count, by name."""
+    quality: dict[str, NDArray[Any]] = {
+        one.name: np.full(frames, np.nan) for one in dataclasses.fields(Quality)
+    }
+    return quality | {name: np.zeros(frames, np.int64) for name in COUNTS}
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +127,7 @@ def with_beginning(whole: Result, beginning: Result) -> Result:
 
     def first(name: str) -> Any:
         own, other = getattr(whole.quality, name), getattr(beginning.quality, name)
-        spent = own[:count] if name in ("newton", "cg", "steps") else 0
+        spent = own[:count] if name in COUNTS else 0
         return np.concatenate([other + spent, own[count:]])
 
     message = beginning.record["warnings"]

@@ -681,16 +681,9 @@ class Batch:
         sums, residual, depth = assembly.sums, self._newton.residual, -self._tip[:, 2]
         for row, (i, frame) in enumerate(reached.items()):
             deep, node = folds.get(i, (0.0, -1))
-            host = (
-                *(
-                    depth[i],
-                    residual[i],
-                    sums["base"][i],
-                    sums["det"][i],
-                    assembly.min_force_scale[i],
-                ),
-                *(deep, node, self._spent[i]),
-            )
+            least = assembly.min_force_scale[i]
+            state = depth[i], residual[i], sums["base"][i], sums["det"][i], least
+            host = *state, deep, node, self._spent[i]
             self._collectors[i].keep(frame, read[row], surface[row], traction[row], host)
             self._unmeasured.append(self._collectors[i])
             self._spent[i] = Spent()

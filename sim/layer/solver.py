@@ -364,7 +364,6 @@ class LayerFrames:
         self._surface = np.zeros((count, *press.grid.shape, 3), np.float32)
         self._traction = np.zeros((count, *press.grid.shape, 3), np.float32)
         self._quality = no_quality(count)
-        self._newton, self._steps = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self._start: tuple[float, float] | None = None
         self._work_most = 0.0
 
@@ -384,7 +383,8 @@ class LayerFrames:
         quality["contact"][frame] = overlap / -press.tip[2] if press.tip[2] < 0 else 0.0
         quality["energy_gap"][frame] = self._lost()
         quality["slip_excess"][frame] = press.slip_excess
-        self._newton[frame], self._steps[frame] = press.spent.iterations, press.spent.steps
+        quality["newton"][frame] = press.spent.iterations
+        quality["steps"][frame] = press.spent.steps
         press.spent = MoveCost()
 
     def _lost(self) -> float:
@@ -406,12 +406,7 @@ class LayerFrames:
             surface_y=grid.y.astype(np.float64),
             surface=self._surface,
             traction=self._traction,
-            quality=Quality(
-                **self._quality,
-                newton=self._newton,
-                cg=np.zeros_like(self._newton),
-                steps=self._steps,
-            ),
+            quality=Quality(**self._quality),
             record=record,
         )
 

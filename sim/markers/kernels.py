@@ -4,7 +4,6 @@
 
 import functools
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
@@ -347,19 +346,10 @@ def coverages(material, textures: Textures) -> wp.array:
 # Projection of the top's material points: (frame, x, y) -> column, row, nearness.
 
 
-@dataclass(frozen=True, slots=True)
-class DeviceTop:
-    """A `Top` on a device."""
-
-    x: wp.array
-    y: wp.array
-    height: wp.array
-
-    @classmethod
-    def of(cls, top: Top, device):
-        """Copy a `Top` to the device."""
-        values = (top.x, top.y, top.height)
-        return cls(*(wp.array(value.astype(np.float32), device=device) for value in values))
+def top_on(device, top: Top) -> list[wp.array]:
+    """Return x, y and height of a `Top` on a device."""
+    values = (top.x, top.y, top.height)
+    return [wp.array(value.astype(np.float32), device=device) for value in values]
 
 
 @wp.struct
@@ -413,13 +403,12 @@ def _project(
 
 
 def see_vertices(
-    lens: Lens, top: DeviceTop, taps_x: CubicTaps, taps_y: CubicTaps, surface
+    lens: Lens, top: list[wp.array], taps_x: CubicTaps, taps_y: CubicTaps, surface
 ) -> wp.array:
-    """Return vertices (F, N, M) of the displaced top; `surface` is (F, X, Y) of vec3 [m]."""
+    """Return vertices (F, N, M) of the displaced `top_on`; `surface` is (F, X, Y) of vec3 [m]."""
     device = surface.device
-    shape = (surface.shape[0], len(top.x), len(top.y))
-    inputs = [lens, top.x, top.y, top.height, plane_taps(taps_x, taps_y, device), surface]
-    return _filled(_project, shape, wp.vec3, inputs, device)
+    inputs = [lens, *top, plane_taps(taps_x, taps_y, device), surface]
+    return _filled(_project, (surface.shape[0], *top[-1].shape), wp.vec3, inputs, device)
 
 
 # Displacement field in the image, on a lattice of the image without contact.

@@ -57,7 +57,6 @@ class PressFrames:
         self._wrench = np.full((frames, 6), np.nan)
         self._surface = np.full((frames, nx, ny, 3), np.nan, np.float32)
         self._quality = no_quality(frames)
-        self._steps = np.zeros(frames, np.int64)
         self._readings = np.zeros((pace.steps, 9))
         self._velocity = _tip_velocity(pace, state.lattice.cell)
         self._kinetic_share = 0.0
@@ -78,7 +77,7 @@ class PressFrames:
         """Store the state of this environment after step `at[frame]` as that frame."""
         units, pace, quality = self._units, self._pace, self._quality
         end, before = int(pace.at[frame + 1]), int(pace.at[frame])
-        self._steps[frame] = end - (before if frame else 0)
+        quality["steps"][frame] = end - (before if frame else 0)
         push, base = np.zeros(6), np.zeros(3)
         if end > 0:
             first = max(end - max(pace.window, 1), min(before, end - 1))
@@ -134,12 +133,7 @@ class PressFrames:
             surface_y=self._lattice.surface_y,
             surface=self._surface,
             traction=np.full_like(self._surface, np.nan),
-            quality=Quality(
-                **self._quality,
-                newton=np.zeros_like(self._steps),
-                cg=np.zeros_like(self._steps),
-                steps=self._steps,
-            ),
+            quality=Quality(**self._quality),
             record={**record, "kinetic_over_stored": self._kinetic_share},
         )
 
