@@ -2,7 +2,9 @@
 
 import dataclasses
 import math
+import tempfile
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import numpy as np
@@ -222,6 +224,16 @@ SIDES = {
     "force is less accurate than the estimate for whole elements (allowed: a contact within the "
     "rim, or a tolerance)",
 }
+
+
+def dumped(**state: Any) -> Path | None:
+    """Store the last state before a failure in the folder of temporary files; None if it cannot."""
+    try:
+        path = Path(tempfile.mkdtemp(prefix="diverged-")) / "state.npz"
+        np.savez_compressed(path, **state)
+    except OSError:
+        return None
+    return path
 
 
 # Conversion of scenes and other values to and from JSON, without loss.
