@@ -493,7 +493,8 @@ def _look(indenter: Indenter, body: Body, at: tuple[float, ...]) -> Sizes:
     width = np.maximum(width, longest * NARROW_PIXELS / WINDOW_MOST)
     count = WINDOW * (2 if longest > NARROW * width.min() else 1)
     count = max(count, min(math.ceil(NARROW_PIXELS * longest / width.min()), WINDOW_MOST))
-    here = _thickness_under(body, tip)
+    here = body.thickness + body.height(*_onto(body, tip))
+    here = here if here < THIN * body.thickness else body.thickness
     thickness = float(np.clip(here, 1e-4, LAYERS * width.min()))
     window = Body(
         size_x=float(width[0]),
@@ -517,12 +518,6 @@ def _look(indenter: Indenter, body: Body, at: tuple[float, ...]) -> Sizes:
 
 # Height of a dome over the thickness below which a contact there counts as on a thinner layer.
 THIN = 0.5
-
-
-def _thickness_under(body: Body, tip: Array) -> float:
-    """Return the body's height under a tip (3,) if much below the thickness; else the thickness."""
-    here = body.thickness + body.height(*_onto(body, tip))
-    return here if here < THIN * body.thickness else body.thickness
 
 
 def _heights(body: Body, x: Array, y: Array) -> Array:
