@@ -1,6 +1,5 @@
 """Marker archives: parallel writing in any order, local and remote reading, checks and pairing."""
 
-import hashlib
 import json
 import multiprocessing
 import os
@@ -19,6 +18,7 @@ import numpy as np
 import pytest
 import zarr
 from fsspec.asyn import get_loop
+from support.copies import digests
 from support.crashes import FailingCalls, Killed
 from support.sessions import edit_json, flip
 
@@ -109,11 +109,6 @@ def make_archive(path: Path, made_from: ArchivePlan = PLAN) -> Path:
         write_units(writer, name, units)
     writer.finish()
     return path
-
-
-def digests(path: Path) -> dict[str, str]:
-    files = (entry for entry in path.rglob("*") if entry.is_file())
-    return {str(f.relative_to(path)): hashlib.sha256(f.read_bytes()).hexdigest() for f in files}
 
 
 @pytest.fixture(scope="module")
