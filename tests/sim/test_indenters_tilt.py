@@ -11,16 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from support import stl_files as files
 
-from sim.indenters import (
-    NAMES,
-    Indenter,
-    bar,
-    box,
-    flat_punch,
-    from_stl,
-    named,
-    sphere,
-)
+from sim.indenters import NAMES, Indenter, bar, box, flat_punch, from_stl, named, sphere
 from sim.result import from_json, to_json
 from sim.scene import Scene, press
 from tests.support.few import few

@@ -11,18 +11,7 @@ from benchmarks.independent.axisymmetric import AxisymmetricPress
 from benchmarks.independent.mesh import Fine, layer_grid
 from benchmarks.independent.profile import punch
 from benchmarks.independent.profile import sphere as ball
-from sim import (
-    Body,
-    Effects,
-    Friction,
-    Layer,
-    Motion,
-    Result,
-    Scene,
-    SceneError,
-    press,
-    simulate,
-)
+from sim import Body, Effects, Friction, Layer, Motion, Result, Scene, SceneError, press, simulate
 from sim.error_estimate import AT_RIM, fineness_of, with_estimate
 from sim.fem import Fem, Grading, Precision
 from sim.fem.mesh import SHARE_LEAST, build_mesh
