@@ -94,14 +94,10 @@ def rows_of(
 ) -> dict[str, Any]:
     """Return the row, in JSON, that `work` returns of each item, by `--processes` processes.
 
-    Rows are stored as they complete, as those of `Run.once`. The rows returned are in the order of
-    `items`, in which they also start.
-
-    Args:
-        run: The run, with the rows that an interrupted one has stored.
-        work: Is called in another process.
-        items: Items by name; names differ from those of all other rows of the part.
-        progress: Called with the fraction done; None: `run.progress`.
+    Rows are stored as they complete, as those of `Run.once`; those that an interrupted run has
+    stored are not made again. The rows returned are in the order of `items`, in which they also
+    start. Names of items differ from those of all other rows of the part. `progress` is called with
+    the fraction done; without it, that of the run is.
     """
     progress = progress or run.progress
     left = [(name, item) for name, item in items.items() if name not in run.rows]

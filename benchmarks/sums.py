@@ -11,14 +11,9 @@ RESAMPLES = 2000
 def sums_by_indenter(
     true: Floats, predicted: Floats, indenter: NDArray[np.str_]
 ) -> dict[str, list[list[float]]]:
-    """Return sums (5, 3) of each indenter's frames, in JSON.
+    """Return sums (5, 3) of each indenter's frames, in JSON, from forces (n, 3) [N].
 
     Count, forces, their squares, squared and absolute errors.
-
-    Args:
-        true: Forces (n, 3) [N].
-        predicted: Predicted forces (n, 3) [N].
-        indenter: Name of each frame's indenter (n,).
     """
     error = predicted - true
     parts = np.stack([np.ones_like(true), true, true**2, error**2, np.abs(error)], axis=1)

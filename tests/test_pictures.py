@@ -58,8 +58,7 @@ def test_patterns_show_markers_where_they_are(tmp_path: Path) -> None:
     pictures.patterns(tmp_path / "patterns.png")
     with Image.open(tmp_path / "patterns.png") as picture:
         pixels = np.asarray(picture.convert("L")).astype(float)
-    index = pictures.PATTERNS.index("Array3")
-    left = GAP + index % pictures.COLUMNS * (200 + GAP)
+    left = GAP + pictures.PATTERNS.index("Array3") % pictures.COLUMNS * (200 + GAP)
     top = GAP
     for x, y in list(pattern_of("Array3").places)[:30]:
         column, row = left + 100 + x / 20e-3 * 200, top + 100 - y / 20e-3 * 200

@@ -347,10 +347,7 @@ def sums_of(grid: Sequence[Sequence[Mapping[str, Any]]], of: Callable[[str], boo
 def scores_of(sums: Floats) -> Floats:
     """Return the mean R2 over seeds and pairs, then that of each resample (1 + RESAMPLES,).
 
-    Indenters are drawn again, the same for all pairs, and so are seeds.
-
-    Args:
-        sums: Sums by seed, pair and indenter (s, p, k, 5, 3).
+    Indenters of `sums_of` are drawn again, the same for all pairs, and so are seeds.
     """
     if not sums.shape[2]:
         return np.full(1 + RESAMPLES, np.nan)

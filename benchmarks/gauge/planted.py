@@ -93,13 +93,8 @@ def twin_of(each: Planted, truth: Truth, fit: ContactTier, grid: int) -> dict[st
     """Press a planted sensor with a gauge, fit its twin from its design, and return the twin's row.
 
     With the errors of its quantities, relative but for Poisson's ratio and the surface's height
-    [m], and its misfit.
-
-    Args:
-        each: The sensor.
-        truth: How true forces are solved; by `fem` on meshes as in archives.
-        fit: Tier of the fit.
-        grid: Pixels of the fit.
+    [m], and its misfit. True forces by `fem` are solved on meshes as in archives; `grid` is the
+    number of pixels of the fit.
 
     Raises:
         SimulationDiverged: A press has no solution.

@@ -94,13 +94,8 @@ class RingState:
 class AxisymmetricPress:
     """One indenter on one layer with one mesh.
 
-    Args:
-        layer: The soft body.
-        profile: The indenter.
-        grid: The mesh of the layer.
-        friction: Coulomb friction coefficient.
-        contact_radius: Approximate contact radius [m]; scales the contact stiffness.
-        density: Mass per volume [kg/m^3], for `in_time` only.
+    The approximate contact radius [m] scales the contact stiffness; the density [kg/m^3] is for
+    `in_time` only.
     """
 
     def __init__(

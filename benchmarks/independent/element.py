@@ -30,8 +30,7 @@ POINTS = 3
 def quadratic(place: Array) -> tuple[Array, Array]:
     """Return three quadratic shape functions at `place` (P,) in -1..1 and their slopes, (P, 3)."""
     value = np.stack([place * (place - 1) / 2, 1 - place**2, place * (place + 1) / 2], axis=-1)
-    slope = np.stack([place - 0.5, -2 * place, place + 0.5], axis=-1)
-    return value, slope
+    return value, np.stack([place - 0.5, -2 * place, place + 0.5], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -72,13 +71,7 @@ class Grid:
 
 
 class Elastic:
-    """Stored energy of a mesh as a function of its nodal displacements.
-
-    Args:
-        grid: Mesh of the undeformed body.
-        shear: Shear modulus G [Pa].
-        bulk: Bulk modulus K [Pa].
-    """
+    """Stored energy of a mesh, of moduli G and K [Pa], as a function of its nodal displacements."""
 
     def __init__(self, grid: Grid, shear: float, bulk: float) -> None:
         self.shear, self.bulk = shear, bulk

@@ -72,13 +72,9 @@ class LinearLayer:
 
 
 class LayerContact:
-    """Contact of one radius, solved.
+    """Contact of one radius a [m], solved for an indenter of transform g(t).
 
-    Args:
-        contact_radius: a [m].
-        transform: g(t) of the indenter.
-        layer: The layer.
-        depth: Depth of the tip below the undeformed surface [m]; None: that at which phi(a) = 0.
+    Without a depth of the tip below the undeformed surface [m], it is that at which phi(a) = 0.
     """
 
     def __init__(

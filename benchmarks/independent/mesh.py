@@ -27,12 +27,7 @@ def graded(
 ) -> Array:
     """Return lines from `low` to `high` [m] between elements of the sizes given by `places`.
 
-    Args:
-        low: First line [m].
-        high: Last line [m].
-        places: Refined intervals.
-        growth: Increase of the element length per distance from the refined intervals.
-        coarsest: Maximum element length [m].
+    Away from these intervals elements grow by `growth` per distance, up to `coarsest` [m].
     """
     # Half of the samples are dense at either end, where elements may be 1e-4 of the whole.
     fraction = np.linspace(0, 1, SAMPLES) ** 3
@@ -60,6 +55,5 @@ def layer_grid(
     """
     finest = min(place.size for place in places)
     r = graded(0.0, radius, places, growth, thickness / 2)
-    top = Fine(0.0, 0.0, finest)
-    z = -graded(0.0, thickness, [top], growth, thickness / 5)[::-1]
+    z = -graded(0.0, thickness, [Fine(0.0, 0.0, finest)], growth, thickness / 5)[::-1]
     return Grid(r, z, dome)

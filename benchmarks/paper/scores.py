@@ -27,11 +27,7 @@ def force_scores(
 ) -> dict[str, float]:
     """Return R2 (mean of axes, with its 90 % interval over indenters), and MAE [N].
 
-    Args:
-        true: Labels (n, 3) N.
-        predicted: Predictions (n, 3) N.
-        indenter: Name of the indenter of each frame (n,).
-        seed: Seed of the resamples.
+    Labels and predictions are (n, 3) [N], of frames with one indenter's name each (n,).
     """
     sums = np.array([*sums_by_indenter(true, predicted, indenter).values()])
     again = resampled(sums, generator(seed, "indenters"))

@@ -102,8 +102,7 @@ def _naive(
         return np.asarray(wrenches[align.held(force.times, some + late).index])
 
     def by_component(some: Times) -> Floats:
-        linear = align.linear(pose.times, poses, some, max_age=pose.max_age)
-        return np.asarray(linear.value)
+        return np.asarray(align.linear(pose.times, poses, some, max_age=pose.max_age).value)
 
     rows = []
     for name, method, values, errors_of in (

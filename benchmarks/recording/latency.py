@@ -62,19 +62,11 @@ def measure(run: Run) -> list[dict[str, Any]]:
 def costs(
     name: str, model: ForceModel, folder: Path, variants: Sequence[tuple[str, str]], count: int
 ) -> list[dict[str, Any]]:
-    """Return the cost of running a model in each variant, on random frames.
+    """Return the cost of running a model in each variant (runtime, precision), on random frames.
 
-    Args:
-        name: Name of the model in the table.
-        model: The model.
-        folder: Folder for the exported model.
-        variants: Runtime and precision of each.
-        count: Number of frames to time.
-
-    Returns:
-        For each variant the number of `weights`, the median and 99th percentile of the time of a
-        frame [ms], and the largest difference of a force from torch in fp32 [N]; None and a
-        `remark` if the runtime is not available here.
+    For each the number of `weights`, the median and 99th percentile of the time of one of `count`
+    frames [ms], and the largest difference of a force from torch in fp32 [N]; None and a `remark`
+    if the runtime is not available here. The model is exported to `folder`.
     """
     torch.set_num_threads(_THREADS)
     exported = folder / f"{name}.onnx"

@@ -117,8 +117,7 @@ def measured(name: str, folder: Path, workers: int, seconds: float) -> dict[str,
 
     Return the number of images, the time on the clock and of the CPU, and the memory.
     """
-    windows = opened(name, folder)
-    loader = DataLoader(windows, BATCH, shuffle=True, num_workers=workers)
+    loader = DataLoader(opened(name, folder), BATCH, shuffle=True, num_workers=workers)
     read = 0
     batches = iter(loader)
     next(batches)

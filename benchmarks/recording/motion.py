@@ -117,9 +117,9 @@ class Recorded:
     """Length of the motion [s]."""
 
 
-def record_motion(motion: Motion, seconds: float, path: Path, *, seed: int = 0) -> Recorded:
+def record_motion(motion: Motion, seconds: float, path: Path) -> Recorded:
     """Write a session of the motion: JPEG frames at 60 Hz, force 1 kHz, pose 500 Hz."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
 
     def arrivals(true: Floats, latency: float, scale: float) -> Times:
         late = latency - 2 * scale * (latency > 0) + rng.gamma(2.0, scale, len(true))

@@ -106,10 +106,7 @@ def reason(diverged: SimulationDiverged) -> str:
 def sums(source: Pressed, target: Pressed, by_row: Pressed) -> dict[str, Any]:
     """Return sums of labels' errors by method and indenter (`sums_by_indenter`).
 
-    Args:
-        source: Source with the forces of its twin.
-        target: Target with the forces of its twin.
-        by_row: Target with the forces of its row.
+    Source and target have the forces of their twins, `by_row` is the target with those of its row.
     """
     predicted = {"source": source.table["wrench"][:, :3], "priors": by_priors(source, target)}
     for word, there in (("", target), (", no gauge", by_row)):
@@ -147,14 +144,10 @@ def prior(pressed: Pressed) -> Prior:
 
 
 def r2(parts: Sequence[Values], method: str) -> tuple[float, tuple[float, float]]:
-    """Return R2, mean of Fx, Fy and Fz, and its 95 % interval.
+    """Return R2 of one of `METHODS`, mean of Fx, Fy and Fz, and its 95 % interval.
 
     R2 of each draw, over all frames, is averaged over draws. The interval is that of drawing draws,
-    and indenters within them, again.
-
-    Args:
-        parts: Sums of each draw, by method and indenter.
-        method: One of `METHODS`.
+    and indenters within them, again. `parts` are the sums of each draw, by method and indenter.
     """
     random = np.random.default_rng(0)
     sums = [np.array([*part[method].values()]) for part in parts]

@@ -92,19 +92,13 @@ def recorded(
 ) -> tuple[Array, Array, Array]:
     """Return times (n,) [s], tips (n, 3) [m] and forces (n, 3) [N] that a bench would record.
 
-    Args:
-        presses: The presses.
-        bench: Errors of the bench.
-        seed: Seed of the noise.
-        solutions: Times of the solutions (m,) [s].
-        forces: Their forces (m, 3) [N].
+    `solutions` are the times (m,) [s] of the true `forces` (m, 3) [N], `seed` that of the noise.
     """
     corners, tips = presses.path()
     time = np.arange(0.0, corners[-1], 1 / RATE)
     late = along(time - bench.latency, solutions, forces)
     turned = late + np.cross(np.array(bench.turn), late)
-    random = np.random.default_rng(seed)
-    noise = random.normal(0.0, bench.noise, late.shape)
+    noise = np.random.default_rng(seed).normal(0.0, bench.noise, late.shape)
     return time, along(time, corners, tips), turned + noise
 
 
@@ -146,16 +140,11 @@ def felt(
     *,
     every: int = 1,
 ) -> Array:
-    """Return the forces on a skin (n, 3) [N] where a bench takes the tip to be.
+    """Return the forces on a skin (n, 3) [N] where a bench takes the tip (n, 3) [m] to be.
 
-    Args:
-        skin: The skin.
-        indenter: The indenter as drawn.
-        time: Times (n,) [s]; steps between them are short, for the mount yields by the last force.
-        tip: Tip as the bench knows it (n, 3) [m].
-        bench: Its errors. The tip yields by forces of tier `layer`, also in tier `fem`.
-        truth: How forces are solved.
-        every: Points from one whose force is returned to the next; the first is one.
+    The indenter is as drawn. Steps between times (n,) [s] are short, for the mount yields by the
+    last force, that of tier `layer` also in tier `fem`. Of points, every `every`th has its force
+    returned, beginning with the first.
     """
     indenter, seen = leaning(
         printed(indenter, bench.size), tip + np.array([*bench.place, 0.0]), bench.tilt
@@ -167,8 +156,7 @@ def felt(
     if truth.tier == "layer":
         return forces[::every]
     scene = skin.scene(indenter, motion_of(seen[::every], time[::every]))
-    result = simulate(scene, truth.fem, device=truth.device)
-    return np.asarray(result.wrench[:, :3], float)
+    return np.asarray(simulate(scene, truth.fem, device=truth.device).wrench[:, :3], float)
 
 
 def pressed(

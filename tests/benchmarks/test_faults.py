@@ -248,20 +248,17 @@ def test_a_leak_shows_as_its_slope_and_the_warm_up_does_not() -> None:
     filling = 50e6 * np.minimum(times / 60.0, 1.0)
     memory = 100e6 + filling + 2e6 * times / 3600.0
     rows = [(t, used, 7) for t, used in zip(times, memory, strict=True)]
-    track = endurance.Track("x", rows)
-    growth = endurance.growth_of(track)
+    growth = endurance.growth_of(endurance.Track("x", rows))
     assert growth is not None
     assert growth["slope"] == pytest.approx(2e6, rel=1e-6)
     assert growth["last"] - growth["first"] == pytest.approx(2e6 * (1735 - 145) / 3600, abs=1e5)
-    brief = endurance.Track("y", [(150.0, 1, 1), (155.0, 1, 1)])
-    assert endurance.growth_of(brief) is None
+    assert endurance.growth_of(endurance.Track("y", [(150.0, 1, 1), (155.0, 1, 1)])) is None
 
 
 @pytest.mark.serial
 @pytest.mark.slow
 def test_a_short_long_run_tracks_every_process_and_says_what_was_recorded(tmp_path: Path) -> None:
-    options = argparse.Namespace(quick=True)
-    run = Run(options, tmp_path, lambda fraction: None)
+    run = Run(argparse.Namespace(quick=True), tmp_path, lambda fraction: None)
     values = endurance.measure(run)
     assert run.failures == []
     roles = set(values["processes"])

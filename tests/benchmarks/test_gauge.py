@@ -150,8 +150,7 @@ def test_the_quick_run_is_whole_and_reads_no_label_of_the_target(tmp_path: Path)
     assert "what it is given besides" not in text
 
     def ladder() -> Any:
-        run = Run(words, tmp_path, lambda fraction: None)
-        return prepare(run, tmp_path, "kinds")
+        return prepare(Run(words, tmp_path, lambda fraction: None), tmp_path, "kinds")
 
     whole, without = ladder(), ladder()
     source, target = whole.archive

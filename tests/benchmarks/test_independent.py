@@ -28,8 +28,7 @@ AXISYMMETRIC = [press for press in PRESSES if press.axisymmetric]
 
 def test_the_tangent_is_the_derivative_of_the_force_and_that_of_the_energy() -> None:
     elastic = Elastic(Grid(np.linspace(0, 2, 4), np.linspace(-1, 0, 3)), 1.0, 5.0)
-    rng = np.random.default_rng(0)
-    u, along = 0.02 * rng.normal(size=(2, elastic.count))
+    u, along = 0.02 * np.random.default_rng(0).normal(size=(2, elastic.count))
     step = 1e-4
     ahead, back = u + step * along, u - step * along
     slope = (elastic.energy(ahead) - elastic.energy(back)) / (2 * step)

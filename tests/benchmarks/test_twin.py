@@ -21,8 +21,7 @@ from sim.sensors import sensor
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Page of a quick run of labels."""
     path = tmp_path_factory.mktemp("twin") / "page.md"
-    words = ["--quick", "--only", "labels", "--out", str(path)]
-    assert run_module(command, *words) == 0
+    assert run_module(command, "--quick", "--only", "labels", "--out", str(path)) == 0
     return path
 
 

@@ -51,8 +51,7 @@ SOFT_SKIN, HARD_SKIN = spring("soft", SOFT), spring("hard", HARD)
 
 
 def test_labels_of_one_spring_become_those_of_another() -> None:
-    random = np.random.default_rng(0)
-    direction = random.normal(size=(12, 6))
+    direction = np.random.default_rng(0).normal(size=(12, 6))
     source = direction * (SOFT[0] * DEPTH**2 + SOFT[1] * DEPTH)[:, None]
     target = direction * (HARD[0] * DEPTH**2 + HARD[1] * DEPTH)[:, None]
     phase = np.full(12, DOWN)

@@ -54,8 +54,7 @@ def test_markers_come_back_where_they_were() -> None:
 
 def test_bits_become_masks() -> None:
     masks = _masks()
-    packed = torch.from_numpy(pack(masks))
-    assert torch.equal(unpack_masks(packed), torch.from_numpy(masks))
+    assert torch.equal(unpack_masks(torch.from_numpy(pack(masks))), torch.from_numpy(masks))
 
 
 def test_nothing_becomes_nothing() -> None:

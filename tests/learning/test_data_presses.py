@@ -149,8 +149,7 @@ def test_a_range_holds_the_forces_that_it_is_made_from() -> None:
     assert (span.high[0], span.high[2]) == (1.0, 0.0)
     assert span.low[1] == pytest.approx(-span.high[1])
     assert span.high[1] > 0
-    wider = ForceRange.from_training(wrench, margin=0.1)
-    assert wider.low[2] == pytest.approx(-8.8)
+    assert ForceRange.from_training(wrench, margin=0.1).low[2] == pytest.approx(-8.8)
 
 
 def test_a_range_is_of_measured_values_alone() -> None:

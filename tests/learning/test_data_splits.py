@@ -102,8 +102,7 @@ def test_states_of_one_press_stay_together() -> None:
     states: Any = States(gel=SimpleNamespace(table=table))
     split = make_split(states, validation=0.2, new_press=0.2)
     for target in range(8):
-        roles = {press.role for press in split.presses if press.target == target}
-        assert len(roles) == 1
+        assert len({press.role for press in split.presses if press.target == target}) == 1
     assert {press.role for press in split.presses} == {"train", "validation", "new_press"}
 
 

@@ -56,8 +56,7 @@ def test_a_window_has_the_values_of_its_session(sessions: Path) -> None:
 def test_a_window_begins_in_the_run_that_it_ends_in(sessions: Path) -> None:
     windows = TactileDataset(sessions / "a.zarr", ROWS)
     start = Session(sessions / "a.zarr").frames["t_ns"].min()
-    first = [int(windows[number]["t_ns"][0]) for number in range(len(windows))]
-    assert min(first) == start
+    assert min(int(windows[number]["t_ns"][0]) for number in range(len(windows))) == start
     assert len(windows) == len(Session(sessions / "a.zarr").frames["t_ns"]) - ROWS + 1
     assert len(TactileDataset(sessions / "a.zarr", ROWS, stride=4)) == -(-len(windows) // 4)
 
@@ -66,8 +65,7 @@ def test_parts_have_different_indenters(sessions: Path) -> None:
     parts = {part: TactileDataset(sessions, ROWS, split=part) for part in ("train", "test")}
     names = {part: [Path(path).stem for path in each.paths] for part, each in parts.items()}
     assert names == {"train": ["a", "c"], "test": ["b"]}
-    whole = len(TactileDataset(sessions, ROWS))
-    assert sum(len(each) for each in parts.values()) == whole
+    assert sum(len(each) for each in parts.values()) == len(TactileDataset(sessions, ROWS))
 
 
 @pytest.mark.parametrize("workers", [0, 2])

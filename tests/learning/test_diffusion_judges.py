@@ -66,8 +66,7 @@ def test_heads_cannot_grow_without_bound_and_clip_stays_in_evaluation() -> None:
         heads([torch.randn(1, 8, 4, 4)] * 2 + [torch.randn(1, 6)])
     largest = torch.linalg.matrix_norm(heads.vector[0].weight.detach(), 2)
     assert float(largest) == pytest.approx(1, rel=0.05)
-    features = ClipFeatures(tiny_pretrained().clip).train()
-    assert not features.clip.training
+    assert not ClipFeatures(tiny_pretrained().clip).train().clip.training
 
 
 def test_blurring_keeps_the_size_and_spreads_one_pixel_binomially() -> None:
@@ -90,8 +89,7 @@ def test_augmentation_depends_on_its_generator_alone_and_passes_gradients() -> N
 
 
 def test_augmentation_cuts_out_a_square_of_up_to_half_the_side() -> None:
-    images = torch.full((64, 3, 16, 16), 7.0)
-    cut = augment(images, _generator()) == 0
+    cut = augment(torch.full((64, 3, 16, 16), 7.0), _generator()) == 0
     fraction = cut.all(dim=1).float().mean(dim=(1, 2))
     # A square of at most 8 x 8, and up to 2 rows and columns that were shifted out.
     assert 0.05 < float(fraction.mean()) < 0.45

@@ -225,8 +225,7 @@ def test_full_size_networks_fit_together_at_256_px(preset: str) -> None:
         latent = network.reference_posterior(images).mean
         given = (latent, latent) if settings.source_reference else (latent,)
         translated = network(images, *given)
-        seen = ClipFeatures(made.clip)(translated)
-        judged = DiscriminatorHeads(768, 512)(seen)
+        judged = DiscriminatorHeads(768, 512)(ClipFeatures(made.clip)(translated))
         assert latent.shape == (2, 4, 32, 32)
         assert translated.shape == (2, 3, 256, 256)
         assert [tuple(each.shape) for each in judged] == [(2, 1, 4, 4), (2, 1, 4, 4), (2, 1)]

@@ -123,8 +123,7 @@ def test_a_model_of_fz_alone_says_so_and_is_scored_by_fz(
     assert "MAE [N] x -  y -  z " in printed
     assert "R2 (Fz) " in printed
     assert "the model predicts Fz only" in printed
-    report = write_report([found], [], tmp_path / "report")
-    assert "(Fz)" in report.lines[0]
+    assert "(Fz)" in write_report([found], [], tmp_path / "report").lines[0]
 
 
 def test_a_model_and_an_archive_are_compared_without_a_file(

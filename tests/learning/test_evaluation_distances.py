@@ -102,8 +102,7 @@ def test_the_marker_grid_tells_what_is_set_where_and_how_much_is_edge() -> None:
     coverage, column, row, edge = MARKER_GRID.features(image).reshape(4, 8, 8)
     assert coverage[1, 3] == pytest.approx(0.5)
     assert coverage.sum() == pytest.approx(0.5)
-    across = np.linspace(-1, 1, 32)[:16].mean() / 2
-    assert column[1, 3] == pytest.approx(across)
+    assert column[1, 3] == pytest.approx(np.linspace(-1, 1, 32)[:16].mean() / 2)
     assert row[1, 3] == pytest.approx(0)
     # The right half-end and the lower end; the left end belongs to the previous cell.
     assert edge[1, 3] == pytest.approx((32 + 16) / 1024)

@@ -43,8 +43,7 @@ def test_r2_is_one_for_the_truth_zero_for_the_mean_and_below_for_worse() -> None
 
 
 def test_the_spread_leaves_out_frames_without_a_label() -> None:
-    labels = np.concatenate([TRUE, np.full((1, 3), np.nan)])
-    std, range_ = spread_and_range(labels)
+    std, range_ = spread_and_range(np.concatenate([TRUE, np.full((1, 3), np.nan)]))
     assert std[2] == pytest.approx(TRUE[:, 2].std())
     assert range_ == pytest.approx([3, 1, 4, 4])
 
@@ -65,8 +64,7 @@ def test_errors_are_of_measured_axes_alone() -> None:
 def test_an_axis_that_the_model_does_not_predict_is_not_scored() -> None:
     predicted = TRUE + 0.5
     predicted[:, 0] = np.nan
-    errors = force_errors(TRUE, predicted, np.ones(4))
-    assert errors.axes == ("Fy", "Fz")
+    assert force_errors(TRUE, predicted, np.ones(4)).axes == ("Fy", "Fz")
 
 
 def test_predictions_without_labels_have_no_row_but_a_range() -> None:
@@ -111,8 +109,7 @@ def test_what_is_no_prediction_is_refused(tmp_path: Path) -> None:
 
 def test_predictions_of_one_pair_in_several_files_are_one() -> None:
     seen = predictions(roles=("new_press",), first=100)
-    unseen = predictions(roles=("new_indenter",))
-    (one,) = merged([unseen, seen])
+    (one,) = merged([predictions(roles=("new_indenter",)), seen])
     assert one.rows.tolist() == [*range(4), *range(100, 104)]
     assert one.role[[0, 7]].tolist() == ["new_indenter", "new_press"]
 

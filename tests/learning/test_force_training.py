@@ -86,8 +86,7 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(
 
 
 def test_what_a_model_is_made_of_must_fit(tmp_path: Path) -> None:
-    run = _open(tmp_path / "run")
-    train_force(noise_presses(3), TOY, session(TOY, run))
+    train_force(noise_presses(3), TOY, session(TOY, _open(tmp_path / "run")))
     config = (tmp_path / "run" / "config.yaml").read_text()
     (tmp_path / "run" / "config.yaml").write_text(config.replace("memory: 8", "memory: 12"))
     with pytest.raises(LearningError, match="memory"):
@@ -177,8 +176,7 @@ STARTS = [np.array([0, 5, 9, 16]), np.array([0, 6])]
 
 
 def test_sequences_begin_without_contact_and_are_a_function_of_seed_and_step() -> None:
-    settings = SequenceSettings(batch=2)
-    passes = epoch(STARTS, (0, 1), settings, seed=3, number=1)
+    passes = epoch(STARTS, (0, 1), SequenceSettings(batch=2), seed=3, number=1)
     assert passes.steps(ranks=1) == 2
     seen = []
     for step in range(2):
@@ -335,8 +333,7 @@ def test_a_model_of_fz_alone_predicts_fz_alone(tmp_path: Path, box: str) -> None
 
 
 def test_unmeasured_axes_leave_no_trace_in_what_is_learned() -> None:
-    presses = noise_presses(2)
-    some = _measured(presses, 2)
+    some = _measured(noise_presses(2), 2)
     other = replace(some, wrench=some.wrench.clone())
     one, two = (train_force(each, toy(start_at_mean=False)) for each in (some, other))
     torch.testing.assert_close(one.state_dict(), two.state_dict(), equal_nan=True)

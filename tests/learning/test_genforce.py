@@ -436,8 +436,7 @@ def test_the_turn_of_a_raw_run_is_found_by_the_markers_of_sheared_presses() -> N
     assert of(math.radians(37), 1, 1) is None  # along one line: mirrored or not
     with pytest.raises(LearningError, match="gel: its images are mirrored"):
         of(math.radians(37), -1, 8)
-    random = np.random.default_rng(0)
-    noise = random.normal(size=(2, 24, 2))
+    noise = np.random.default_rng(0).normal(size=(2, 24, 2))
     assert fitted_turn("gel", *noise) is None
     assert fitted_turn("gel", *noise[:, :3]) is None
 
@@ -474,8 +473,7 @@ def test_raw_runs_that_do_not_fit_are_refused_by_name(tmp_path: Path) -> None:
     shutil.rmtree(tmp_path / "data")
     export(record(tmp_path / "s.zarr", "taxels"), tmp_path / "data", "genforce")
     (run,) = (tmp_path / "data" / "uskin" / "uskin_raw").iterdir()
-    counts = run / "1" / "shear_inc" / "0001.npy"
-    np.save(counts, np.zeros((4, 4, 3)))
+    np.save(run / "1" / "shear_inc" / "0001.npy", np.zeros((4, 4, 3)))
     with pytest.raises(LearningError, match=r"0001\.npy: found float64 \(4, 4, 3\); expected num"):
         import_folder(tmp_path / "data", tmp_path / "a.markers.zarr")
     shutil.copytree(run, run.with_name("sphere-20260202_000000"))

@@ -129,8 +129,7 @@ def test_of_30_and_45_degrees_only_equal_angles_meet_and_the_rest_is_named(tmp_p
         "16 unmatched: tacpalm, none of gelsight there in that direction, the nearest 15.0 deg",
     ):
         assert line in lines
-    counted = sum(pair.unmatched.values())
-    assert counted == 240 + 160 - 2 * pair.matched
+    assert sum(pair.unmatched.values()) == 240 + 160 - 2 * pair.matched
 
 
 def test_depths_of_a_domed_sensor_are_below_its_surface_in_frames_curves_and_archives(
@@ -306,8 +305,7 @@ def test_equal_names_and_disagreeing_lists_of_unseen_indenters_are_refused(tmp_p
     other = [SensorSelection(a, "a", "a"), SensorSelection(b, "a", "b")]
     with pytest.raises(LearningError, match=r"sphere: models may be trained on it by a, not by b"):
         join(other)
-    made = join(other, unseen=("sphere",))
-    made.write(tmp_path / "j.markers.zarr")
+    join(other, unseen=("sphere",)).write(tmp_path / "j.markers.zarr")
     assert not MarkerArchive(tmp_path / "j.markers.zarr")["a"].table["seen"].any()
 
 

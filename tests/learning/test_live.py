@@ -208,10 +208,7 @@ def test_the_preset_is_that_of_the_model_s_markers_or_of_the_sensor(tmp_path: Pa
     [
         (Conditions("gelsight", "camera", depth=1.05e-3), []),
         (Conditions("gelsight", "camera", depth=1.3e-3), ["this bench presses to 1.30 mm"]),
-        (
-            Conditions("tacpalm", "camera", "pins"),
-            ["(63 markers, to 1.00 mm), not for tacpalm (p"],
-        ),
+        (Conditions("tacpalm", "camera", "pins"), ["(63 markers, to 1.00 mm), not for tacpalm (p"]),
     ],
 )
 def test_a_model_meets_what_it_was_not_made_for(

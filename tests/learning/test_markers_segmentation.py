@@ -111,8 +111,7 @@ def test_the_authors_tactip_pipeline_finds_white_pins_in_its_hexagon() -> None:
     inside = [(345 + 40 * i, 215 + 45 * j) for i in (-2, -1, 0, 1, 2) for j in (-1, 0, 1)]
     for column, row in [*inside, (60, 60), (600, 400)]:
         cv2.circle(picture, (column, row), 7, (255, 255, 255), -1)
-    mask = Segmenter(camera_preset("tacpalm")).mask(picture)
-    centres = marker_centres(mask)
+    centres = marker_centres(Segmenter(camera_preset("tacpalm")).mask(picture))
     expected = [
         ((c - 180 + 0.5) * 640 / 330 - 0.5, (r - 50 + 0.5) * 480 / 330 - 0.5) for c, r in inside
     ]
@@ -174,8 +173,7 @@ def test_luma_weighs_colours_as_the_standard_does() -> None:
 
 
 def test_contrast_follows_uneven_light() -> None:
-    column = np.mgrid[:480, :640][1]
-    light = (60 + column / 4).astype(np.uint8)
+    light = (60 + np.mgrid[:480, :640][1] / 4).astype(np.uint8)
     picture = np.repeat(light[..., None], 3, axis=2)
     places = [(60 + 80 * k, 240) for k in range(8)]
     for place in places:
@@ -202,6 +200,5 @@ def test_taxels_are_drawn_less_those_without_contact() -> None:
     centre, _ = place_discs(mirrored)
     assert centre[9, 1] < 288 - 10
     content = {"kind": "taxels", "description": "", "discs": {"shear_per_count": 1e-4}}
-    half = built_preset(content, "own")
-    halved = taxel_masks(counts + no_contact, no_contact, half)
+    halved = taxel_masks(counts + no_contact, no_contact, built_preset(content, "own"))
     np.testing.assert_array_equal(halved, draw_discs(counts * (0.5, 0.5, 1.0)))

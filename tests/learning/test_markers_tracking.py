@@ -122,8 +122,7 @@ def test_one_marker_is_a_reference_too() -> None:
 
 
 def test_pictures_of_the_mock_bench_are_tracked_to_a_quarter_of_a_pixel() -> None:
-    view = marker_truth.VIEWS["bench-tacpalm"]
-    camera = MarkerCamera(view, grey_noise=1.0)
+    camera = MarkerCamera(marker_truth.VIEWS["bench-tacpalm"], grey_noise=1.0)
     segmenter = Segmenter(preset("bench-tacpalm"))  # type: ignore[arg-type]
     tracker, order = None, np.zeros(0, int)
     for fraction in np.linspace(0, 1, 6):

@@ -53,8 +53,7 @@ def _train(folder: Path, until: int) -> Net:
     optimiser = torch.optim.AdamW(net.parameters())
     rate = Cosine(1e-2, steps=toy.steps, warm_up=5)
     run = RunFolder.open(folder, "force", toy, "data")
-    done = run.restore({"model": net}, {"optimiser": optimiser})
-    for step in range(done, until):
+    for step in range(run.restore({"model": net}, {"optimiser": optimiser}), until):
         seed_torch(toy.seed, "step", step)
         values = torch.from_numpy(generator(toy.seed, "batch", step).normal(size=(16, 4)))
         set_rate(optimiser, rate.at(step))

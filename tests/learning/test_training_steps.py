@@ -77,8 +77,7 @@ def test_rates_rise_and_fall() -> None:
 
 
 def test_the_device_is_the_one_that_there_is() -> None:
-    launched = accelerator(LaunchSettings(device="cpu", mixed_precision="bf16"))
-    reported = described(launched)
+    reported = described(accelerator(LaunchSettings(device="cpu", mixed_precision="bf16")))
     assert reported.startswith("cpu (CPU)")
     assert reported.endswith("mixed precision bf16")
     with pytest.raises(LearningError, match="found fp16 on a CPU"):

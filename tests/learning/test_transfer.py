@@ -460,8 +460,7 @@ def test_a_transfer_by_twins_has_the_target_s_scale(
     card = (out / "model" / "card.md").read_text()
     assert "**Scale known**: twins of both skins" in card
     assert "scaled between the skins by their twins (`simulated`)" in card
-    joined = MarkerArchive(out / "pairs.markers.zarr")
-    assert np.isnan(joined["grid"].table["wrench"]).all()
+    assert np.isnan(MarkerArchive(out / "pairs.markers.zarr")["grid"].table["wrench"]).all()
     # The largest force learned from is the target's, of indenters that may be learned from.
     intervals = read_intervals(out / "model")
     assert intervals is not None

@@ -169,8 +169,7 @@ def test_patterns_and_indenters_never_seen_are_better_than_without_a_warp(tmp_pa
     assert training is not None
     assert unseen is not None
     short = ["field_stage.steps=150", "map_stage.steps=40"]
-    settings = read_settings(FieldSettings, PRESETS, "cpu_smoke", short)
-    model = train_field(training, settings)
+    model = train_field(training, read_settings(FieldSettings, PRESETS, "cpu_smoke", short))
     scores = net_scores(model, unseen, 32, 0)
     assert scores["dice"] > scores["dice_still"] + 0.03
     assert scores["shift_error_px"] < 2.0

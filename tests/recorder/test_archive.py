@@ -547,8 +547,7 @@ def test_phases_and_locations_that_one_lacks_are_left_out() -> None:
     kept = ~((source["location"] == 2) & (source["phase"] >= 2))
     source = {name: values[kept] for name, values in source.items()}
     target["location"] = np.where(target["location"] == 3, -1, target["location"])
-    pairs = location_pairs(source, target)
-    assert len(pairs) == 4 + 4 + 2
+    assert len(location_pairs(source, target)) == 4 + 4 + 2
     assert len(location_pairs(target, source, "authors_code")) == 4 + 4 + 3
 
 

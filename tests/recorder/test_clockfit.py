@@ -66,8 +66,7 @@ def test_a_plain_line_through_the_arrivals_would_not_do() -> None:
 
 def test_a_short_recording_is_one_line() -> None:
     true, device, t_ns = _arrivals(1, span=8.0, rate_hz=500.0)
-    fit = fitted(device, t_ns)
-    assert np.abs(fit.to_host(device) - LEAST_DELAY - true).max() < 1e-3
+    assert np.abs(fitted(device, t_ns).to_host(device) - LEAST_DELAY - true).max() < 1e-3
 
 
 @pytest.mark.parametrize("bits_tick", [(32, 1e-6), (24, 1e-6), (16, 1e-3)])
@@ -104,15 +103,13 @@ def test_a_stall_of_a_second_is_no_reset() -> None:
     _, device, t_ns = _arrivals(6, span=60.0, rate_hz=500.0)
     held = slice(10_000, 10_500)
     t_ns[held] = np.maximum(t_ns[held], t_ns[10_500])
-    fit = fitted(device, t_ns)
-    assert fit.resets == 0
+    assert fitted(device, t_ns).resets == 0
 
 
 def test_missing_device_times_are_left_out_and_too_few_give_no_fit() -> None:
     _, device, t_ns = _arrivals(7, span=30.0)
     device[::3] = np.nan
-    fit = fitted(device, t_ns)
-    assert fit.pieces[0].rows == int(np.isfinite(device).sum())
+    assert fitted(device, t_ns).pieces[0].rows == int(np.isfinite(device).sum())
     assert fit_clock(device[:20], t_ns[:20]) is None
     assert fit_clock(np.full(100, np.nan), t_ns[:100]) is None
 
@@ -166,8 +163,7 @@ def test_a_drift_that_means_nothing_is_silent() -> None:
     rng = np.random.default_rng(0)
     true = START + np.arange(600) / 60.0
     arrived = np.maximum.accumulate(true + rng.gamma(2.0, 0.02, len(true)))
-    fit = fitted(true - START, np.round(arrived * 1e9).astype(np.int64))
-    assert not fit.drifts
+    assert not fitted(true - START, np.round(arrived * 1e9).astype(np.int64)).drifts
 
 
 def test_a_drift_without_an_interval_is_stored_and_read_as_unknown() -> None:
@@ -175,7 +171,6 @@ def test_a_drift_without_an_interval_is_stored_and_read_as_unknown() -> None:
     at = np.concatenate([np.arange(50) / 100, 60 + np.arange(50) / 100])
     fit = fitted(at, np.round(at * 1e9).astype(np.int64))
     assert np.isinf(fit.pieces[-1].drift_interval_ppm)
-    stored = json.loads(json.dumps(fit.to_json(), allow_nan=False))
-    again = ClockFit.from_json(stored)
+    again = ClockFit.from_json(json.loads(json.dumps(fit.to_json(), allow_nan=False)))
     assert np.isnan(again.pieces[-1].drift_interval_ppm)
     assert not again.drifts

@@ -243,8 +243,7 @@ def test_dying_in_front_of_any_file_operation_of_a_recovery_loses_nothing(
         for rows in append_rows(origin, image_row, 3 * BLOCK):
             if rows == 2 * BLOCK + 3:
                 break
-    journals = len(list(origin.glob("t_ns/journal-*[0-9]")))
-    assert journals == (1 if keeps_up else 3)
+    assert len(list(origin.glob("t_ns/journal-*[0-9]"))) == (1 if keeps_up else 3)
     check_every_crash_point(tmp_path, origin, lambda path: append_rows(path, image_row, 0))
 
 
@@ -310,8 +309,7 @@ def test_zeros_ahead_of_the_records_are_no_torn_bytes(
 ) -> None:
     monkeypatch.setattr(journal, "_AHEAD_FROM", 1)
     path = abandoned_with_nine_images(tmp_path)
-    images = next(path.glob("value/c/0/0/0/*.partial"))
-    assert images.stat().st_size == shard.STEP
+    assert next(path.glob("value/c/0/0/0/*.partial")).stat().st_size == shard.STEP
     assert survey(StreamLayout.load(path)).torn_bytes == 0
     assert recover(path) == 9
     assert next(path.glob("value/c/0/0/0/0")).stat().st_size < shard.STEP

@@ -61,8 +61,7 @@ def test_images_are_the_bytes_of_the_camera_or_the_pixels(
 
 def test_attributes_are_whole_however_long(tmp_path: Path) -> None:
     path = make_session(tmp_path / "s.zarr", names=("force",), seconds=1.0)
-    bench = {"points": [[i, i + 0.5] for i in range(20_000)], "name": "µ"}
-    set_attrs(path, bench=bench)
+    set_attrs(path, bench={"points": [[i, i + 0.5] for i in range(20_000)], "name": "µ"})
     export(path, tmp_path / "s.h5", "hdf5")
     with h5py.File(tmp_path / "s.h5") as file:
         for name, value in Session(path).attrs.items():

@@ -146,8 +146,7 @@ def test_files_end_with_an_episode_when_they_are_full(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(lerobot_format, "_FILE_BYTES", 1)
-    path = make_session(tmp_path / "s.zarr")
-    export(path, tmp_path / "d", "lerobot")
+    export(make_session(tmp_path / "s.zarr"), tmp_path / "d", "lerobot")
     episodes = pq.read_table(tmp_path / "d/meta/episodes/chunk-000/file-000.parquet").to_pylist()
     assert [row["data/file_index"] for row in episodes] == [0, 1]
     for row in episodes:

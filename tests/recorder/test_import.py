@@ -205,8 +205,7 @@ def test_a_video_that_must_be_decoded_is_stored_as_it_decodes(tmp_path: Path) ->
 
 
 def test_taxels_are_rounded_to_the_wires_counts_and_it_says_how_far(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    counts = (30_000 + rng.normal(0, 50, (90, 48))).astype(np.float32)
+    counts = (30_000 + np.random.default_rng(0).normal(0, 50, (90, 48))).astype(np.float32)
     path = saved(tmp_path / "t.npy", counts)
     message = imported(tmp_path, taxels=path, taxels_hz=60, taxel_order="taxel")
     session = Session(tmp_path / "s.zarr")
@@ -290,8 +289,7 @@ def test_units_are_read_however_they_are_set_apart() -> None:
 
 
 def test_forces_are_whole_counts_so_that_a_replay_can_give_them_back(tmp_path: Path) -> None:
-    rng = np.random.default_rng(1)
-    wrench = rng.normal(0, 5, (50, 6)) * [1, 1, 1, 0.1, 0.1, 0.1]
+    wrench = np.random.default_rng(1).normal(0, 5, (50, 6)) * [1, 1, 1, 0.1, 0.1, 0.1]
     path = saved(tmp_path / "f.npy", wrench)
     options = {"force": path, "force_hz": 100.0, "units": "N", "torque_units": "N m"}
     message = imported(tmp_path, **options)

@@ -124,8 +124,7 @@ def test_a_rate_that_falls_midway_loses_what_is_missing(factor: float) -> None:
 
 def test_numbers_that_begin_anew_are_no_loss_and_those_in_tens_are_consecutive() -> None:
     _, t_ns, seq = sampled(100.0, 10)
-    again = np.where(seq < 600, seq + 50_000, seq)
-    assert find_losses(t_ns, 100.0, seq=again).total == 0
+    assert find_losses(t_ns, 100.0, seq=np.where(seq < 600, seq + 50_000, seq)).total == 0
     assert find_losses(t_ns, 100.0, seq=10 * seq).total == 0
     half = np.arange(0, len(seq), 2)
     assert find_losses(t_ns[half], 100.0, seq=seq[half]).total == len(half) - 1
@@ -150,8 +149,7 @@ def test_nonsense_is_counted_without_allocating() -> None:
 
 def test_the_waiting_of_a_sample_is_told_from_its_delay() -> None:
     own, t_ns, _ = sampled(100.0, 20, jitter=0.02)
-    losses = find_losses(t_ns, 100.0)
-    waited, wander = lateness(t_ns, 100.0, losses)
+    waited, wander = lateness(t_ns, 100.0, find_losses(t_ns, 100.0))
     true = (t_ns - START) * 1e-9 - own
     assert np.abs(waited - true).max() < 1e-3
     assert wander < 1e-3

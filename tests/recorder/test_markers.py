@@ -97,8 +97,7 @@ def coverage(centre: NDArray[np.float64], radius: NDArray[np.float64]) -> NDArra
 
 
 def test_a_sensor_without_contact_is_sixteen_discs_of_481_pixels_at_their_places() -> None:
-    mask = draw_discs(np.zeros((16, 3), np.int32))
-    blobs = find_blobs(mask[None])
+    blobs = find_blobs(draw_discs(np.zeros((16, 3), np.int32))[None])
     assert len(blobs) == 16
     assert np.abs(blobs.area - 481).max() <= 2
     expected = {(column, row) for column in (128, 256, 384, 512) for row in (96, 192, 288, 384)}
@@ -109,8 +108,7 @@ def test_a_pixel_is_set_where_a_disc_covers_more_than_50_of_255() -> None:
     generator = np.random.default_rng(3)
     counts = generator.normal(0, [1500, 1500, 0], (6, 16, 3))
     counts[..., 2] = generator.uniform(-2000, 40_000, (6, 16))
-    masks = draw_discs(counts)
-    for mask, centre, radius in zip(masks, *place_discs(counts), strict=True):
+    for mask, centre, radius in zip(draw_discs(counts), *place_discs(counts), strict=True):
         fraction = coverage(centre, radius)
         sure = np.abs(fraction - 50 / 255) > 0.02
         np.testing.assert_array_equal(mask[sure], (fraction > 50 / 255)[sure])
@@ -135,8 +133,7 @@ def test_shifts_centres_and_sizes_keep_their_limits() -> None:
     np.testing.assert_allclose(centre[0], (128 * 0.4, 384 + 96 * 0.6))
     np.testing.assert_allclose(centre[5], (128 * 2.6, 288 - 96 * 0.6))
     np.testing.assert_allclose(2 * radius[[0, 5]], np.sqrt([300, 6000]) * 100 / 72)
-    near = replace(DiscMap(), centre_max=3.2)
-    shifted, _ = place_discs(np.full((16, 3), 1e6), near)
+    shifted, _ = place_discs(np.full((16, 3), 1e6), replace(DiscMap(), centre_max=3.2))
     assert shifted[:, 0].max() == pytest.approx((3.2 + 1) * 128)
 
 

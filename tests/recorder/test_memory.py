@@ -177,8 +177,7 @@ def test_windows_over_200_open_sessions_need_no_more_memory(
 
     def epoch() -> int:
         for session in sessions:
-            window = session.window(int(rng.integers(*span)), 4)
-            assert window.image is not None
+            assert session.window(int(rng.integers(*span)), 4).image is not None
             session.frames["wrench"]
             session.streams["force"].array("value")
         return tracemalloc.get_traced_memory()[0]

@@ -232,8 +232,7 @@ def test_a_far_session_can_be_pickled(url: str, recorded: Path) -> None:
 def test_faults_are_found_from_afar(tmp_path: Path) -> None:
     path = make_session(tmp_path / "s.zarr")
     (path / "streams/force/seq/c/0").unlink()
-    shard = path / "streams/camera/value/c/0/0/0/0"
-    flip(shard, 40_000)
+    flip(path / "streams/camera/value/c/0/0/0/0", 40_000)
     (path / "frames/pose/c/0/0").unlink()
     (path / "streams/pose/t_ns/journal-99").write_bytes(b"x")
     fsspec.filesystem("memory").put(str(path), "/faulty/s.zarr", recursive=True)

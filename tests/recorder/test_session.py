@@ -81,8 +81,7 @@ def tree(path: Path) -> dict[str, bytes]:
 def test_a_session_holds_what_was_appended(recorded: Path) -> None:
     session = Session(recorded)
     for name, stream in session.streams.items():
-        columns = stream_columns(name, 3.6, (48, 64), "jpeg", seed=1)
-        for column, values in columns.items():
+        for column, values in stream_columns(name, 3.6, (48, 64), "jpeg", seed=1).items():
             if (name, column) == ("camera", "value"):
                 assert [stream.jpeg(row) for row in range(len(stream))] == values
             else:
@@ -233,8 +232,7 @@ def test_a_window_holds_images_labels_ages_and_never_clips(recorded: Path) -> No
     assert not early.valid[missing].any()
     assert early.image[missing].max() == 0
     assert early.taxels is None
-    after = session.window(T0 + 10**11, 4)
-    assert not after.valid.any()
+    assert not session.window(T0 + 10**11, 4).valid.any()
 
 
 def test_a_window_of_any_method_stays_near_its_samples(recorded: Path) -> None:
@@ -278,8 +276,7 @@ def test_runs_keep_apart_even_if_the_clock_starts_anew(tmp_path: Path) -> None:
 
 
 def test_a_session_still_recording_opens_and_says_so(tmp_path: Path) -> None:
-    path = make_session(tmp_path / "s.zarr", finish=False)
-    session = Session(path)
+    session = Session(make_session(tmp_path / "s.zarr", finish=False))
     assert session.warning is not None
     assert "still recording" in session.warning
     assert len(session.streams["force"]) == 3600
@@ -293,8 +290,7 @@ def test_recovery_closes_a_killed_session_once_and_for_all(tmp_path: Path) -> No
     assert (first.status, first.frames_rebuilt) == ("recovered", True)
     assert faults(check(path)) == []
     before = tree(path)
-    second = recover(path)
-    assert not second.touched
+    assert not recover(path).touched
     assert tree(path) == before
 
 
@@ -419,8 +415,7 @@ def test_imagecodecs_reads_camera_bytes_under_the_same_name(recorded: Path) -> N
     name = f"{other.Jpeg.__module__}.{other.Jpeg.__qualname__}"
     zarr.registry.register_codec("imagecodecs_jpeg", other.Jpeg)
     with zarr.config.set({"codecs.imagecodecs_jpeg": name}):
-        array = zarr.open_array(recorded / "streams/camera/value", mode="r")
-        found = np.asarray(array[:3])
+        found = np.asarray(zarr.open_array(recorded / "streams/camera/value", mode="r")[:3])
     ours = Stream(recorded / "streams/camera").images(range(3))
     assert np.abs(found.astype(int) - ours).max() <= 1  # JPEG libraries round differently
 

@@ -162,10 +162,8 @@ def test_a_killed_recording_is_recovered_with_all_its_rows(mixed: Mixed, tmp_pat
         writer.close()
         shutil.rmtree(path / "streams" / name)
         (tmp_path / "copy" / name).rename(path / "streams" / name)
-    found = recover(path)
-    assert found.status == "recovered"
-    session = Session(path)
-    assert {name: len(stream) for name, stream in session.streams.items()} == rows
+    assert recover(path).status == "recovered"
+    assert {name: len(stream) for name, stream in Session(path).streams.items()} == rows
     assert faults(check(path)) == []
 
 

@@ -102,8 +102,7 @@ def test_the_watchdog_stops_program_and_arm(client):
 def test_a_new_program_has_no_watchdog(client):
     client.command(WATCHDOG, [10.0])
     client.run(100)
-    again = Client(client.controller)
-    again.run(500)
+    Client(client.controller).run(500)
     assert client.controller.runtime_state == PLAYING
 
 

@@ -228,8 +228,7 @@ def gone(pid: int) -> bool:
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
 def test_a_dead_parent_leaves_an_arm_that_halts_retracts_and_lets_go(emulator, tmp_path, how):
     # The host is derived from the process id: the script must use this process's.
-    script = PARENT.replace("CONFIG", repr(CONFIG))
-    (tmp_path / "parent.py").write_text(script)
+    (tmp_path / "parent.py").write_text(PARENT.replace("CONFIG", repr(CONFIG)))
     paths = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
     with subprocess.Popen(
         [sys.executable, str(tmp_path / "parent.py")],
@@ -243,8 +242,7 @@ def test_a_dead_parent_leaves_an_arm_that_halts_retracts_and_lets_go(emulator, t
         parent.send_signal(how)
         assert parent.wait(240) == -how
     until(lambda: gone(pid))
-    state = inject()
-    assert state["reason"] == "end of program"
+    assert inject()["reason"] == "end of program"
     # It moved down for a while, and up by the retract distance.
     assert 0.011 < height() < 0.03 + CONFIG.retract
     assert stands_still()

@@ -165,8 +165,7 @@ def test_a_session_of_another_sensor_in_its_place_is_not_touched(tmp_path: Path)
     campaign = _campaign(tmp_path)
     first, _, last = campaign.items
     _session(tmp_path / "out" / f"{first.entry.name}.zarr", last, 1, "complete")
-    found = progress_of(campaign)
-    assert found[0].state == "unreadable"
+    assert progress_of(campaign)[0].state == "unreadable"
     code, ran, _, reported = _run(campaign, [0, 0])
     assert (code, ran) == (2, [])
     assert "move it away" in reported[0]

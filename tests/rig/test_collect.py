@@ -126,8 +126,7 @@ def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(
 
     # A complete session is left as it is, to the last byte, and no emulator starts.
     before = {path: path.read_bytes() for path in run.session.rglob("*") if path.is_file()}
-    more = ("--resume", str(run.session), "--bench", str(bench))
-    assert main(["collect", *more]) == 0
+    assert main(["collect", "--resume", str(run.session), "--bench", str(bench)]) == 0
     assert "complete: all 1 targets are done" in capsys.readouterr().out.splitlines()[-1]
     after = {path: path.read_bytes() for path in run.session.rglob("*") if path.is_file()}
     assert after == before

@@ -169,8 +169,7 @@ def watching(gripper: RobotiqEmulator) -> Iterator[GripWatch]:
 def test_a_watched_grip_is_lost_whatever_way(
     fault: str, values: dict[str, int], why: str, gripper: RobotiqEmulator, watch: GripWatch
 ) -> None:
-    description = watch.open(2.0)
-    assert description["position"] == 120
+    assert watch.open(2.0)["position"] == 120
     until(lambda: watch.polls > 3)
     assert watch.lost is None
     gripper.inject(fault, **values)

@@ -76,8 +76,7 @@ def test_a_target_interrupted_and_pressed_again_in_the_same_run_is_done() -> Non
 
 
 def test_a_force_limited_target_is_done() -> None:
-    rows = [(0, 0, LIMITED, 0), *whole(1)]
-    assert first_open_target(PLAN, table(rows), 48) == 2
+    assert first_open_target(PLAN, table([(0, 0, LIMITED, 0), *whole(1)]), 48) == 2
 
 
 def test_only_the_wanted_targets_count() -> None:
@@ -87,8 +86,7 @@ def test_only_the_wanted_targets_count() -> None:
 
 def test_targets_are_pressed_again_in_order_before_those_that_are_open() -> None:
     request = CollectRequest(Path("s.zarr"), PLAN, 12, resume=True, again=(5, 2, 9))
-    found = request.to_press(8)
-    assert [target.index for target in found] == [2, 5, 8, 9, 10, 11]
+    assert [target.index for target in request.to_press(8)] == [2, 5, 8, 9, 10, 11]
 
 
 def test_again_presses_targets_of_a_complete_session_though_nothing_is_open(

@@ -112,8 +112,7 @@ class Place:
                 os.close(ours)
                 os.close(theirs)
             return
-        text = json.dumps(self.content)
-        port = re.search(rf"{self.host}:(\d+)|port\": (\d+)", text)
+        port = re.search(rf"{self.host}:(\d+)|port\": (\d+)", json.dumps(self.content))
         assert port is not None, f"{self.device.kind}: its example names no port"
         with socket.create_server((self.host, int(port[1] or port[2]))):
             yield

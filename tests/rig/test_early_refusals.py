@@ -58,8 +58,7 @@ print(codes, sorted(slow))
         f"collect --sensor tacpalm --out {folder}/old.zarr",
         "live --sensor tacpalm --model nope",
     )
-    ran = python("-c", code, *mistakes)
-    assert ran.stdout.splitlines()[-1] == "[2, 2] []"
+    assert python("-c", code, *mistakes).stdout.splitlines()[-1] == "[2, 2] []"
 
 
 def test_a_default_name_that_is_taken_gets_a_number(tmp_path: Path) -> None:

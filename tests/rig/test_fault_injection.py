@@ -180,8 +180,7 @@ def _xela(host: str, silence: float) -> tuple[Any, Any, Callable[..., Any]]:
 
 
 def _mjpeg(host: str, silence: float) -> tuple[Any, Any, Callable[..., Any]]:
-    rng = np.random.default_rng(0)
-    image = rng.integers(0, 255, (480, 640, 3)).astype(np.uint8)
+    image = np.random.default_rng(0).integers(0, 255, (480, 640, 3)).astype(np.uint8)
     source = rendered(lambda state: image)
     config = MjpegConfig(f"http://{host}:8090/", rate_hz=60.0, silence=silence)
     emulator = MjpegEmulator(MjpegEmulatorConfig(config, host=host), source, None, CLOCK)

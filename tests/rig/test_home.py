@@ -269,8 +269,7 @@ def test_too_wide_an_interval_is_refused_with_its_width(tmp_path: Path) -> None:
     plan = Touch(travel=1e-3, repeats=1)
     with pytest.raises(SafetyStop, match=r"mm wide; allowed: 0\.002 mm"):
         home.evaluate(session, plan, width_max=2e-6)
-    found = home.evaluate(session, plan, width_max=1e-3)
-    assert abs(found.surface.z) < 0.1e-3
+    assert abs(home.evaluate(session, plan, width_max=1e-3).surface.z) < 0.1e-3
 
 
 def _touched(folder: Path, *, noise: float) -> Session:

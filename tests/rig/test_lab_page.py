@@ -149,8 +149,7 @@ def test_marks_become_a_campaign_that_presses_those_targets_again(
     queue = "tactile campaign --file campaigns/again.yaml"
     assert answer == {"session": MOON, "again": [2, 7], "queue": queue}
     assert bench.get(data("session", session=MOON))["again"] == [2, 7]
-    campaign = load_campaign(Path("campaigns/again.yaml"), BENCHES)
-    (progress,) = progress_of(campaign)
+    (progress,) = progress_of(load_campaign(Path("campaigns/again.yaml"), BENCHES))
     assert (progress.state, progress.done, progress.item.total) == ("to resume", 0, 2)
     assert (progress.session, progress.again) == (Path("sessions") / MOON, (2, 7))
     shown = next(each for each in bench.get("/data/lab")["campaigns"] if each["name"] == "again")
@@ -237,8 +236,7 @@ def test_strangers_get_no_data_and_mark_nothing(bench: LabPage) -> None:
 def test_a_new_session_appears(bench: LabPage) -> None:
     make_session(bench.folder / "sessions" / "later.zarr", names=("force", "pose"))
     until(lambda: paths(bench, text="later"), 0.1)
-    found = bench.get(data("frame", session="later.zarr", frame=0))
-    assert found["images"] == {}
+    assert bench.get(data("frame", session="later.zarr", frame=0))["images"] == {}
 
 
 def test_other_computers_need_the_token(tmp_path: Path) -> None:

@@ -207,8 +207,7 @@ def test_it_ends_when_time_is_up_when_it_is_over_and_when_it_is_asked_to(tmp_pat
 
 def test_a_damaged_picture_is_counted_and_left_out() -> None:
     clock = FakeClock()
-    picture = np.full((480, 640, 3), 90, np.uint8)
-    good = simplejpeg.encode_jpeg(picture)
+    good = simplejpeg.encode_jpeg(np.full((480, 640, 3), 90, np.uint8))
     driver = Drops(clock, [[good], [good[:200]], [good], []])
     watched = Watched("tacpalm", "camera", driver, over=lambda: True)
     predictor = Stub(clock, first=0)

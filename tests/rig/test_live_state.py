@@ -89,8 +89,7 @@ def test_each_camera_has_its_own_picture(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("count", [0, 1, 9])
 def test_the_page_shows_a_bounded_number_of_pictures_and_plots(count: int, tmp_path: Path) -> None:
-    bench = bench_with(count, count, count, count)
-    with seen(bench, tmp_path) as (state, _):
+    with seen(bench_with(count, count, count, count), tmp_path) as (state, _):
         shown = state.hello()
         assert next(iter(shown["pictures"])) == "camera"
         assert len(shown["pictures"]) == min(2 * count + 1, MOST_PICTURES)

@@ -60,8 +60,7 @@ def test_a_writer_that_starts_after_its_readers_leaves_their_mapping_alone(tmp_p
     reader.close()
     writer.close()
     writer.close()
-    fresh = SharedLatest.publish(tmp_path / "y", PAIR)
-    assert fresh.count == 0
+    assert SharedLatest.publish(tmp_path / "y", PAIR).count == 0
 
 
 @pytest.mark.parametrize(

@@ -84,8 +84,7 @@ def test_single_keys_and_named_streams_are_rows_alike(three: BenchFile) -> None:
 
 
 def test_null_removes_a_device_and_every_named_stream(tmp_path: Path) -> None:
-    three = written(tmp_path)
-    bench = BenchFile.read(three.with_name("none.yaml")).bench
+    bench = BenchFile.read(written(tmp_path).with_name("none.yaml")).bench
     assert [row.name for row in bench.rows] == ["pose"]
     assert bench.signal is None
     (tmp_path / "two.yaml").write_text("extends: three.yaml\nstreams: {side: null, left: null}\n")
@@ -151,8 +150,7 @@ def test_a_lab_bench_without_a_gauge_that_guards_is_refused(force: Any) -> None:
 def test_every_device_has_an_emulator_and_a_fault_port_of_its_own(
     three: BenchFile, tmp_path: Path
 ) -> None:
-    mock = MockBench(three, tmp_path)
-    documents = mock.documents()
+    documents = MockBench(three, tmp_path).documents()
     devices = [*NAMES[:1], "arm", *NAMES[2:4], *(f"{name}.device" for name in NAMES[4:10])]
     assert set(documents) == {"world", *devices}  # the arm's controller serves all poses
     ports = [document["fault_port"] for name, (_, document) in documents.items() if name != "world"]
@@ -228,8 +226,7 @@ def test_collected_killed_recovered_resumed_replayed_checked_and_exported(
     inside = frames["valid"][frames["run"] == 1]
     assert inside.mean() > 0.8, "a busy machine may delay single samples"
     assert {name for name, column in session.columns.items() if column in frames} == wanted
-    window = session.window(int(frames["t_ns"][-5]), 3)
-    assert set(window.streams) == wanted
+    assert set(session.window(int(frames["t_ns"][-5]), 3).streams) == wanted
     again = tactile("replay", "--session", path, "--out", tmp_path / "r.zarr", "--speed", "max")
     assert again.returncode == 0, again.stdout + again.stderr
     assert "equal:" in again.stdout

@@ -54,8 +54,7 @@ def emulated(
 
 def opened(host: str, timeout: float = 60.0, **options: Any) -> AbstractContextManager[XelaDriver]:
     config = XelaConfig(f"ws://{host}:5000", **({"silence": 20.0} | options))
-    driver = XelaDriver(config, CLOCK)
-    return opening(driver, timeout)
+    return opening(XelaDriver(config, CLOCK), timeout)
 
 
 def scanned(text: str, sensor: str = "1", taxels: int = 16) -> Scan:
@@ -238,8 +237,7 @@ def test_calibrated_may_be_null_or_ints_or_floats_and_raw_counts_are_read_all_th
 def test_device_time_is_when_the_sensor_was_scanned_never_when_it_was_sent(
     sensor: dict[str, Any], top: dict[str, Any], device_t: float
 ) -> None:
-    scan = scanned(frame(sensor, **top))
-    assert scan.device_t == pytest.approx(device_t, nan_ok=True)
+    assert scanned(frame(sensor, **top)).device_t == pytest.approx(device_t, nan_ok=True)
 
 
 @pytest.mark.parametrize("word", ["7", "07", "007", "0007", "a", "0A", "fa00", "FA00", "0", "FFFF"])

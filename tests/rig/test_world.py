@@ -215,8 +215,7 @@ def test_a_gauge_drifts_steps_and_may_have_fz_alone() -> None:
     assert changes[0].max() == 0
     assert changes[1] == pytest.approx([0.2] * 3)
     assert changes[2].max() == 0
-    alone = Gauge(Lab(fz_only=True)).measured(gauged(0.0))
-    assert alone.tolist() == [0, 0, -1.0, 0, 0, 0]
+    assert Gauge(Lab(fz_only=True)).measured(gauged(0.0)).tolist() == [0, 0, -1.0, 0, 0, 0]
     assert Gauge(Lab()).measured(gauged(9.0)).tolist() == [0.1, 0.2, -1.0, 0.01, 0.02, 0.03]
 
 

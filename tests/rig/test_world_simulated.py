@@ -142,8 +142,7 @@ def test_a_contact_never_pulls_and_drags_no_more_than_friction_allows(tmp_path: 
     # Half a millimetre up is more than the depth of the contact.
     assert not solution.at(1, np.array([0.0, 0.0, 3e-4]))[:6].any()
     assert not solution.at(1, np.array([0.0, 0.0, 1e-4]))[:6].any()
-    dragged = solution.at(1, np.array([1e-3, 0.0, -2e-4]))
-    assert dragged[0] == pytest.approx(0.25)
+    assert solution.at(1, np.array([1e-3, 0.0, -2e-4]))[0] == pytest.approx(0.25)
 
 
 def test_a_new_solution_comes_in_without_a_jump(tmp_path: Path) -> None:
@@ -345,8 +344,7 @@ def test_a_solver_that_fails_ends_its_process_with_the_reason(tmp_path: Path) ->
     }
     arm = SharedLatest.create(tmp_path / "arm.state", ARM_TRUTH)
     arm.write((MS, np.full(6, np.nan), np.zeros(6)))
-    command = ["-m", "rig.mock.emulate", "solver", json.dumps(settings)]
-    run = python(*command, code=3)
+    run = python("-m", "rig.mock.emulate", "solver", json.dumps(settings), code=3)
     assert "tip: " in run.stderr.splitlines()[-1]
     assert "allowed: 3 finite numbers" in run.stderr.splitlines()[-1]
 

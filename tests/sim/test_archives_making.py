@@ -9,15 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.copies import digests
-from support.simulated_archives import (
-    COARSE,
-    LAYER,
-    LIVED,
-    SKINS,
-    make,
-    own_grid,
-    solved_once,
-)
+from support.simulated_archives import COARSE, LAYER, LIVED, SKINS, make, own_grid, solved_once
 
 from recorder import MarkerArchive, SessionError, check
 from recorder.archive import ArchivedSensor, location_pairs

@@ -69,8 +69,7 @@ def test_a_tilted_camera_sees_as_one_that_is_turned_about_its_pinhole() -> None:
     assert tilted.project(np.array([0, 0, -1e-3])) == pytest.approx((319.5, 239.5))
     np.testing.assert_allclose(tilted.depths(points), turned[:, 2], rtol=1e-12)
     # A camera turned about x looks towards -y: what lies there is farther, and smaller.
-    about_x = Camera(tilt=(0.1, 0.0))
-    near, far = about_x.project(np.array([[0, 5e-3, 0], [0, -5e-3, 0]]))
+    near, far = Camera(tilt=(0.1, 0.0)).project(np.array([[0, 5e-3, 0], [0, -5e-3, 0]]))
     assert abs(near[1] - 239.5) != pytest.approx(abs(far[1] - 239.5), rel=0.02)
     assert near[1] < 239.5 < far[1]
 

@@ -197,8 +197,7 @@ def test_wrong_input_is_named_and_nothing_is_written(
 def test_results_are_kept_whole_and_never_overwritten(capsys: pytest.CaptureFixture[str]) -> None:
     argv = ["press", "--shape", "moon", "--depths", "0.2", "--save", "kept/x.zarr", *QUICK]
     told = _said(argv, capsys)
-    kept = load_result(Path("kept/x.zarr"))
-    assert -kept.force[1:, 2] == pytest.approx(told["force_n"])
+    assert -load_result(Path("kept/x.zarr")).force[1:, 2] == pytest.approx(told["force_n"])
     assert main(["sim", *argv]) == 2
     assert "--save: kept/x.zarr exists" in capsys.readouterr().err
 

@@ -130,8 +130,7 @@ def test_a_preconditioner_that_is_not_positive_ends_as_not_convex() -> None:
     count, slope, concave = solver.status()
     assert count[0] == 1
     assert concave[0]
-    found = solver.solution.numpy().ravel()
-    assert np.isclose(slope[0], -(_right(1).ravel() @ found))
+    assert np.isclose(slope[0], -(_right(1).ravel() @ solver.solution.numpy().ravel()))
     assert slope[0] < 0
 
 

@@ -186,8 +186,7 @@ def test_float32_that_reaches_the_tolerance_stays_and_gives_no_reason() -> None:
 @pytest.mark.slow
 def test_float32_is_given_up_when_a_halved_step_fails_too() -> None:
     numerics = Fem(spacing=SPACING, tolerance=1e-9, newton_max=12)
-    result = simulate(SCENE, numerics)
-    assert ": 2 steps failed" in result.record["precision_reason"]
+    assert ": 2 steps failed" in simulate(SCENE, numerics).record["precision_reason"]
     with pytest.raises(SimulationDiverged, match=": 13 steps failed"):
         simulate(SCENE, replace(numerics, precision="float32"))
 
@@ -205,8 +204,7 @@ def test_float64_goes_on_from_the_last_state_that_float32_has_accepted(
         viscosity=Viscosity(ratios=(0.4, 0.3), times=(0.01, 1.0)),
         inertia=Inertia(scale=1e3),
     )
-    motion = press([0.3e-3], shear=0.2e-3, steps=2)
-    scene = Scene(sphere(3e-3), motion, BODY, effects)
+    scene = Scene(sphere(3e-3), press([0.3e-3], shear=0.2e-3, steps=2), BODY, effects)
     numerics = Fem(spacing=SPACING, tolerance=1e-4)
     (wanted,) = simulate_fem([scene], replace(numerics, precision="float64"))
     began: list[float] = []

@@ -39,8 +39,7 @@ def test_more_friction_holds_the_surface_more() -> None:
     slides = []
     for coefficient in (0.0, 0.2, 0.5, 2.0):
         effects = Effects(friction=Friction(coefficient))
-        scene = Scene(sphere(3e-3), press([0.6e-3]), SMALL, effects)
-        result = simulate(scene, COARSE)
+        result = simulate(Scene(sphere(3e-3), press([0.6e-3]), SMALL, effects), COARSE)
         middle = len(result.surface_y) // 2
         slides.append(float(np.interp(1.3e-3, result.surface_x, result.surface[-1, :, middle, 0])))
     assert slides[0] > slides[1] > slides[2] > slides[3]

@@ -158,8 +158,7 @@ def test_an_axis_about_a_window_in_the_middle_is_its_own_mirror_image() -> None:
 def test_only_the_base_is_held_and_only_it_is_not_a_face() -> None:
     mesh = EVEN
     np.testing.assert_array_equal(~mesh.free, mesh.nodes[:, 2] == -1)
-    on_base = (mesh.nodes[mesh.faces][:, :, 2] == -1).all(axis=1)
-    assert not on_base.any()
+    assert not (mesh.nodes[mesh.faces][:, :, 2] == -1).all(axis=1).any()
     boundary = np.bincount(mesh.faces.ravel(), minlength=len(mesh.nodes)) > 0
     inside = (
         (np.abs(mesh.nodes[:, 0]) < 0.999)

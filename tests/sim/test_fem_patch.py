@@ -111,8 +111,7 @@ def test_the_tangent_is_the_derivative_of_the_residual(
 ) -> None:
     """For the whole assembly, with all constraints, and the indenter pressed in."""
     mesh = _mesh()
-    scene = Scene(indenter, press([1e-4]), BODY, effects)
-    assembly = _assembly(mesh, scene)
+    assembly = _assembly(mesh, Scene(indenter, press([1e-4]), BODY, effects))
     state, everyone = assembly.state, assembly.state.everyone
     _begin(assembly, np.array([[0.02, 0.01, -0.1]]))
     random = np.random.default_rng(7)
@@ -137,8 +136,7 @@ def test_the_tangent_is_the_derivative_of_the_residual(
 def _begin(assembly: Assembly, tip: Array) -> None:
     """Set every tip (B, 3) to its position at the end of a step of 0.3 ms."""
     everyone = np.ones(len(tip), bool)
-    nothing = np.zeros(len(tip))
-    assembly.state.begin_step(everyone, tip, np.full(len(tip), 3e-4), nothing)
+    assembly.state.begin_step(everyone, tip, np.full(len(tip), 3e-4), np.zeros(len(tip)))
     assembly.state.set_tip(everyone)
 
 
@@ -179,8 +177,7 @@ def test_push_is_the_derivative_of_the_nodal_forces_with_the_tip(
 
     slope = (at(1.0) - at(-1.0)) / (2 * step)
     before = at(0.0)
-    first = oracle.integers([1, 0])
-    assembly.push(first, oracle.vectors(travel, wp.float64))
+    assembly.push(oracle.integers([1, 0]), oracle.vectors(travel, wp.float64))
     pushed = assembly.residual.numpy()
     assert oracle.relative(pushed[0], slope[0]) < error
     np.testing.assert_array_equal(pushed[1], before[1])

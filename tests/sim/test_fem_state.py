@@ -20,8 +20,7 @@ STEP = np.array([2e-3, 5e-3])
 def _assembly() -> Assembly:
     effects = Effects(friction=Friction(0.4), inertia=Inertia())
     scene = Scene(sphere(2e-3), press([1e-4]), BODY, effects)
-    mesh = build_mesh(BODY, 1e-3)
-    return Assembly([mesh] * 2, [scene] * 2, Fem(), "float64", "cpu")
+    return Assembly([build_mesh(BODY, 1e-3)] * 2, [scene] * 2, Fem(), "float64", "cpu")
 
 
 def _pressure(assembly: Assembly) -> Array:
@@ -102,8 +101,7 @@ def test_a_step_begins_by_extrapolation_and_bodies_fly_on_at_their_speed(chosen:
     """
     assembly = _pressed()
     state = assembly.state
-    random = np.random.default_rng(1)
-    before, now = states = random.normal(0, 0.01, (2, *state.u.shape, 3))
+    before, now = states = np.random.default_rng(1).normal(0, 0.01, (2, *state.u.shape, 3))
     for times, u in enumerate(states, 1):
         state.begin_step(BOTH, times * TIP, STEP, np.zeros(2))
         state.u.assign(u)

@@ -74,8 +74,7 @@ def _least_stiffness(tangents: Tangents, parallel: bool) -> float:
 
 
 def test_a_node_of_the_base_has_neither_row_nor_column() -> None:
-    matrix = Tangents().block_matrix(wp.float64).matrix.numpy()
-    dense = spread_out(matrix[0])
+    dense = spread_out(Tangents().block_matrix(wp.float64).matrix.numpy()[0])
     assert not dense[~GRID.free].any()
     assert not dense[:, :, ~GRID.free].any()
     own = np.einsum("ninj->nij", dense)[GRID.free]

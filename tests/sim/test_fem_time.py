@@ -75,8 +75,7 @@ def test_a_skin_that_has_not_come_back_lets_go_of_a_lifted_tip() -> None:
     slow = Effects(friction=Friction(0.5), viscosity=Viscosity((0.5, 0.5), (0.05, 0.6)))
     scene = Scene(named("cylinder"), Motion(path, times), body, slow)
     found = simulate(scene, Fem(spacing=1e-3))
-    layer = simulate(scene, Layer(grid=48))
-    for result in (found, layer):
+    for result in (found, simulate(scene, Layer(grid=48))):
         assert result.force.any(axis=1).tolist() == [False, *[True] * 3, *[False] * 3, True]
         assert result.force[1:4, 2].max() < -1.0
     assert found.quality.overlap_path[:5].max() > 0.1e-3
@@ -228,8 +227,7 @@ def test_a_body_let_go_swings_at_the_frequency_of_its_thickness() -> None:
         tip.append((0.0, 0.0, away + 1e-9 * (index + 1)))
         time.append(time[-1] + step)
     scene = Scene(plane(), Motion(tuple(tip), tuple(time)), wide, Effects(inertia=Inertia()))
-    result = simulate(scene, COARSE)
-    height = result.surface[2:, 12, 12, 2].astype(float)
+    height = simulate(scene, COARSE).surface[2:, 12, 12, 2].astype(float)
     assert height[0] < -35e-6, "let go, it has not moved yet"
     before = np.flatnonzero(height[:-1] * height[1:] < 0)
     crossings = [i + height[i] / (height[i] - height[i + 1]) for i in before]

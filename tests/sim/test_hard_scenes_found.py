@@ -44,8 +44,7 @@ SLOW: dict[str, list[pytest.MarkDecorator]] = {
 
 @pytest.mark.parametrize("path", [_case(path) for path in FOUND])
 def test_a_scene_once_found_is_no_longer_silently_wrong(path: Path) -> None:
-    stored = json.loads(path.read_text(encoding="utf-8"))
-    scene = from_json(Scene, stored["scene"], "scene")
+    scene = from_json(Scene, json.loads(path.read_text(encoding="utf-8"))["scene"], "scene")
     with suppress(OutOfTime), time_limit(60.0):
         (outcome,) = Solver().outcomes([scene], Fem(elements_max=12_000))
         if isinstance(outcome, SimulationDiverged):

@@ -190,8 +190,7 @@ def test_a_single_part_gives_the_true_distance_everywhere() -> None:
 @pytest.mark.parametrize("edge_radius", [0.0, 0.4e-3])
 def test_a_box_gives_the_true_distance_outside(edge_radius: float) -> None:
     points = _cloud(5000)
-    half = np.array([2e-3, 3e-3])
-    core = np.abs(points[:, :2]) - half + edge_radius
+    core = np.abs(points[:, :2]) - np.array([2e-3, 3e-3]) + edge_radius
     beyond = np.column_stack([core, edge_radius - points[:, 2]])
     inner = np.minimum(beyond.max(axis=1), 0)
     true = np.linalg.norm(np.maximum(beyond, 0), axis=1) + inner - edge_radius

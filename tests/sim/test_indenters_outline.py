@@ -130,8 +130,7 @@ def test_a_path_drawn_clockwise_is_a_hole() -> None:
 def test_two_half_circles_are_a_disc() -> None:
     disc = (1e-3, 0.0, 1.0, -1e-3, 0.0, 1.0)
     points = np.random.default_rng(4).uniform(-2e-3, 2e-3, (1000, 2))
-    table = rows(disc, 0.0)
-    gap, normal_u, normal_v = distance(table, points[:, 0], points[:, 1])
+    gap, normal_u, normal_v = distance(rows(disc, 0.0), points[:, 0], points[:, 1])
     length = np.linalg.norm(points, axis=1)
     np.testing.assert_allclose(gap, length - 1e-3, atol=1e-15)
     np.testing.assert_allclose(

@@ -224,8 +224,7 @@ def test_fem_presses_a_leaning_sphere_like_one_that_stands_where_it_leans_to() -
 def test_scenes_of_every_kind_of_indenter_are_solved_in_one_call(block: Indenter) -> None:
     indenters = [named("cylinder"), block, named("cylinder").tilted(*TILT), block.tilted(*TILT)]
     scenes = [Scene(one, press([0.4e-3])) for one in indenters]
-    batched = simulate_many(scenes, COARSE)
-    for scene, outcome in zip(scenes, batched, strict=True):
+    for scene, outcome in zip(scenes, simulate_many(scenes, COARSE), strict=True):
         assert isinstance(outcome, Result)
         alone = simulate(scene, COARSE)
         np.testing.assert_allclose(outcome.force, alone.force, rtol=1e-3, atol=1e-4)

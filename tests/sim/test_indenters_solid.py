@@ -238,8 +238,7 @@ def test_edges_leave_thin_parts_or_their_size_is_said(
 ) -> None:
     """Pins before a plate, in inches."""
     pins = [files.moved(files.block(thick, thick, 0.8), (2 * i, 0, 0)) for i in (-1, 0, 1)]
-    plate = files.moved(files.block(5, 1, 4), (0, 0, 0.82))
-    vertices, faces = files.joined(*pins, plate)
+    vertices, faces = files.joined(*pins, files.moved(files.block(5, 1, 4), (0, 0, 0.82)))
     path = files.write_binary(tmp_path / "pins.stl", (vertices / 25.4, faces))
     found = from_stl(path, unit="inch", edge_radius=edge_radius, reach=1e-3)
     assert found.solid is not None
@@ -262,8 +261,7 @@ def test_a_scene_keeps_the_file_by_its_content(make: Make, tmp_path: Path) -> No
     # Only its content matters, not its path.
     copy = tmp_path / "copy.stl"
     copy.write_bytes(Path(found.solid.path).read_bytes())
-    moved = replace(found, solid=replace(found.solid, path=str(copy)))
-    assert moved == found
+    assert replace(found, solid=replace(found.solid, path=str(copy))) == found
     assert replace(found, solid=replace(found.solid, sha256="0" * 64)) != found
     points = np.random.default_rng(0).uniform(-2e-3, 2e-3, (50, 3))
     np.testing.assert_array_equal(again.indenter.distance(points)[0], found.distance(points)[0])

@@ -11,16 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from support import stl_files as files
 
-from sim.indenters import (
-    NAMES,
-    Indenter,
-    bar,
-    box,
-    flat_punch,
-    from_stl,
-    named,
-    sphere,
-)
+from sim.indenters import NAMES, Indenter, bar, box, flat_punch, from_stl, named, sphere
 from sim.result import from_json, to_json
 from sim.scene import Scene, press
 from tests.support.few import few
@@ -81,8 +72,7 @@ def test_a_tilted_box_stands_on_a_corner() -> None:
 def test_the_distance_is_that_of_the_upright_body_turned_by_hand(name: str) -> None:
     upright, points = named(name), _cloud(1000)
     leaning = upright.tilted(*TILT)
-    raised = leaning.stance[1]
-    turned = (points - [0, 0, raised]) @ _turn()
+    turned = (points - [0, 0, leaning.stance[1]]) @ _turn()
     gap, normal = upright.distance(turned)
     found, found_normal = leaning.distance(points)
     np.testing.assert_allclose(found, gap, atol=1e-15)
@@ -149,8 +139,7 @@ def test_no_tilt_is_the_very_same_indenter() -> None:
 @pytest.mark.slow
 def test_a_tilt_is_from_upright_and_small_ones_change_little() -> None:
     points = _cloud(500)
-    again = named("prism").tilted(0.1, 0.1).tilted(*TILT)
-    assert again == named("prism").tilted(*TILT)
+    assert named("prism").tilted(0.1, 0.1).tilted(*TILT) == named("prism").tilted(*TILT)
     gap, _ = named("prism").distance(points)
     little, _ = named("prism").tilted(1e-4, 0.0).distance(points)
     assert np.abs(little - gap).max() < 3e-6

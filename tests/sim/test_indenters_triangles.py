@@ -62,8 +62,7 @@ def test_the_unit_scales_the_body(unit: Unit, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("up", UPS)
 def test_any_axis_can_be_up_and_nothing_is_mirrored(up: Up, tmp_path: Path) -> None:
-    path = files.write_binary(tmp_path / "b.stl", PRISM)
-    read = _read(path, up=up)
+    read = _read(files.write_binary(tmp_path / "b.stl", PRISM), up=up)
     size = np.ptp(read.vertices, axis=0)
     assert size[2] == pytest.approx([3e-3, 4e-3, 6e-3]["xyz".index(up[1])])
     # A mirrored body would have inverted triangles.
@@ -75,8 +74,7 @@ def test_any_axis_can_be_up_and_nothing_is_mirrored(up: Up, tmp_path: Path) -> N
 
 
 def test_a_body_inside_out_is_turned_round_and_said_so(tmp_path: Path) -> None:
-    path = files.write_binary(tmp_path / "sock.stl", (PRISM[0], PRISM[1][:, ::-1]))
-    read = _read(path)
+    read = _read(files.write_binary(tmp_path / "sock.stl", (PRISM[0], PRISM[1][:, ::-1])))
     assert _volume(read) == pytest.approx(36e-9)
     assert read.notes == ("sock.stl is inside out: its triangles were turned round",)
 

@@ -25,8 +25,7 @@ def ladder() -> Ladder:
 def bare(name: str) -> Ladder:
     """Return the ladder as `layer` has it, for comparison."""
     felt = ROW.scene(named(name), Motion(((0.0, 0.0, 0.0),), (0.0,))).indenter
-    presses = ladders.presses_of(felt, ROW, Path("unused"))
-    return Ladder(presses, ROW.body, ladders.BARE)
+    return Ladder(ladders.presses_of(felt, ROW, Path("unused")), ROW.body, ladders.BARE)
 
 
 @pytest.mark.parametrize("name", ["sphere_s", "prism"])

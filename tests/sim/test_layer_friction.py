@@ -52,8 +52,7 @@ def test_no_friction_is_friction_zero_and_the_limit_of_little() -> None:
     zero = _loop(0.0, steps=2)
     np.testing.assert_array_equal(none.traction, zero.traction)
     np.testing.assert_array_equal(none.surface, zero.surface)
-    little = _loop(1e-4, steps=2)
-    np.testing.assert_allclose(little.force, none.force, atol=2e-3 * 1.25)
+    np.testing.assert_allclose(_loop(1e-4, steps=2).force, none.force, atol=2e-3 * 1.25)
 
 
 def test_a_punch_that_sticks_moves_the_body_as_a_bonded_disc_does() -> None:

@@ -5,13 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim import (
-    Body,
-    Motion,
-    Scene,
-    SceneError,
-    press,
-)
+from sim import Body, Motion, Scene, SceneError, press
 from sim.indenters import sphere
 from sim.mpm import AUTHORS_CELL, STABLE, Mpm
 from sim.mpm.lattice import build_lattice, pace_of

@@ -226,8 +226,7 @@ def test_progress_rises_to_one() -> None:
 
 
 def test_the_end_of_a_line_does_not_lag() -> None:
-    place = np.arange(20.0)
-    assert end_of_line(3 + 0.5 * place) == pytest.approx(3 + 0.5 * 19)
+    assert end_of_line(3 + 0.5 * np.arange(20.0)) == pytest.approx(3 + 0.5 * 19)
     assert end_of_line(np.full((7, 2), 4.0)) == pytest.approx([4.0, 4.0])
     assert end_of_line(np.array([1.0, 5.0])) == 5.0
 

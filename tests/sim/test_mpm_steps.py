@@ -33,8 +33,7 @@ def _stirred(scene: Scene, numerics: Mpm) -> tuple[ParticleState, Array]:
 
 @pytest.mark.parametrize(("precision", "error"), [("float64", 1e-11), ("float32", 2e-6)])
 def test_a_step_of_the_particles_is_what_numpy_says(precision: str, error: float) -> None:
-    numerics = replace(EXACT, precision=precision)
-    state, velocity = _stirred(SCENE, numerics)
+    state, velocity = _stirred(SCENE, replace(EXACT, precision=precision))
     shear, bulk = float(state.batch.shear.numpy()[0]), float(state.batch.bulk.numpy()[0])
     wanted = oracle.move(
         state.lattice,
@@ -94,8 +93,7 @@ def test_the_velocity_field_vanishes_on_the_base() -> None:
 def test_what_is_at_rest_stays_at_rest_to_the_last_bit(precision: str) -> None:
     state, _, _ = oracle.state_of([SCENE], replace(EXACT, precision=precision))
     oracle.put(state.batch.corners, np.full((*state.batch.corners.shape, 3), 50.0))
-    readings = state.advance(30)
-    assert not readings.any()
+    assert not state.advance(30).any()
     assert not state.batch.shift.numpy().any()
     assert not state.batch.gradient.numpy().any()
 

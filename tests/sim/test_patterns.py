@@ -108,8 +108,7 @@ def test_distance_is_that_to_the_nearest_point_of_an_outline(pattern: Pattern) -
     np.testing.assert_allclose(
         np.abs(found), np.minimum(size, np.where(found < 0, 1, band)), atol=2e-6
     )
-    area = pattern.marker_distance(np.zeros(2))
-    assert area == pytest.approx(found.min(), abs=0.1e-3)
+    assert pattern.marker_distance(np.zeros(2)) == pytest.approx(found.min(), abs=0.1e-3)
 
 
 def test_inside_is_negative_and_covers_the_area_of_the_markers() -> None:

@@ -101,8 +101,7 @@ def test_pixels_see_what_a_ray_through_them_hits_and_masks_are_those_of_formulas
 def test_a_fold_shows_the_part_that_is_nearer_to_the_camera(renderer: Renderer) -> None:
     state = fold()
     seen = renderer.see(state.x, state.y, state.surface[None]).material()[0]
-    rays = rays_of(state)
-    off = np.linalg.norm(seen - rays, axis=-1) / PIXEL
+    off = np.linalg.norm(seen - rays_of(state), axis=-1) / PIXEL
     assert np.nanmax(off) < 0.1
     # Along a row the material jumps from one sheet to the other: the part in between is hidden.
     x = seen[240, :, 0]
@@ -144,8 +143,7 @@ def test_the_undeformed_gel_is_its_reference_bit_for_bit(
         view = renderer.see(axis, axis, still)
         assert np.array_equal(view.packed(textures), reference.packed(textures))
         assert np.array_equal(view.material(), reference.material(), equal_nan=True)
-        field = renderer.displacement(axis, axis, still)
-        assert np.nanmax(np.abs(field)) == 0
+        assert np.nanmax(np.abs(renderer.displacement(axis, axis, still))) == 0
 
 
 def test_packed_bits_are_those_of_the_masks(renderer: Renderer, textures: Textures) -> None:
@@ -198,8 +196,7 @@ def test_mirrored_dents_give_mirrored_images_within_a_pixel(
 
 @pytest.mark.parametrize("name", ["Array3", "Circle4", "Diamond3"])
 def test_no_marker_is_lost_or_made(name: str) -> None:
-    camera = Camera.of_scale(0.05)
-    renderer = Renderer(Body(), camera)
+    renderer = Renderer(Body(), Camera.of_scale(0.05))
     textures = renderer.textures([named(name)])
     states = [ASIDE, dent(depth=1.5e-3), dent(at=(-5e-3, 4e-3), aside=(0.0, -0.8e-3))]
     assert count_markers(renderer.undeformed().masks(textures)[0, 0]) == len(named(name))

@@ -11,18 +11,7 @@ from benchmarks.independent.axisymmetric import AxisymmetricPress
 from benchmarks.independent.mesh import Fine, layer_grid
 from benchmarks.independent.profile import punch
 from benchmarks.independent.profile import sphere as ball
-from sim import (
-    Body,
-    Effects,
-    Friction,
-    Layer,
-    Motion,
-    Result,
-    Scene,
-    SceneError,
-    press,
-    simulate,
-)
+from sim import Body, Effects, Friction, Layer, Motion, Result, Scene, SceneError, press, simulate
 from sim.error_estimate import AT_RIM, fineness_of, with_estimate
 from sim.fem import Fem, Grading, Precision
 from sim.fem.mesh import SHARE_LEAST, build_mesh
@@ -78,8 +67,7 @@ def test_a_rectangle_covers_whole_cells() -> None:
 
 def test_the_distance_from_the_side_of_a_disc_is_exact_and_of_an_ellipse_no_more() -> None:
     place = np.array([0.0, 3.0, 6.0, 7.0]) * MM
-    zero = np.zeros(4)
-    assert DISC.from_side(place, zero) == pytest.approx(6 * MM - place, abs=1e-12)
+    assert DISC.from_side(place, np.zeros(4)) == pytest.approx(6 * MM - place, abs=1e-12)
     angle = np.linspace(0, 2 * np.pi, 2000)
     ellipse = replace(DISC, size_x=20 * MM)
     outline = np.stack([10 * MM * np.cos(angle), 6 * MM * np.sin(angle)])
@@ -267,8 +255,7 @@ def test_round_square_and_domed_bodies_are_solved_side_by_side_as_alone(
 
 
 def test_a_contact_at_the_rim_has_a_wider_error() -> None:
-    scene = Scene(BALL, press((0.5 * MM,), at=(5.5 * MM, 0.0)), DISC)
-    result = simulate(scene, COARSE)
+    result = simulate(Scene(BALL, press((0.5 * MM,), at=(5.5 * MM, 0.0)), DISC), COARSE)
     within = {name: value for name, value in result.record.items() if name not in ("rim", "error")}
     plainly = with_estimate(replace(result, record=within)).record["error"]["force"]
     assert result.record["error"]["force"][-1] == pytest.approx(
@@ -334,8 +321,7 @@ def test_what_a_picture_of_markers_shows_beside_the_gel_is_cut_off() -> None:
 
     everywhere = Everywhere("everywhere", "disc", 1 * MM, ((0.0, 0.0),))
     texture = Textures([everywhere], DISC, step=0.1 * MM)
-    fraction = (texture.values.numpy() < 0).mean()
-    assert fraction == pytest.approx(math.pi / 4, rel=0.02)
+    assert (texture.values.numpy() < 0).mean() == pytest.approx(math.pi / 4, rel=0.02)
 
 
 def test_a_drawn_surface_ends_at_the_round_outline() -> None:

@@ -42,8 +42,7 @@ def test_pins_of_no_length_and_no_width_are_the_skin() -> None:
 def test_a_pin_does_not_bend_with_an_edge_narrower_than_itself() -> None:
     x, y = grid()
     kink = skin(0 * x, 0 * y, np.maximum(x, 0.0))
-    places = np.array([[0.0, 0.0]])
-    rigid = Pins(2e-3, 2e-3).tips(kink).at(places)[0, 0, 0]
+    rigid = Pins(2e-3, 2e-3).tips(kink).at(np.array([[0.0, 0.0]]))[0, 0, 0]
     # Half of the foot is level, half is tilted by 45 degrees: the pin follows the average.
     expected = 2e-3 * np.sin(np.arctan2(np.sin(np.pi / 4) / 2, (1 + np.cos(np.pi / 4)) / 2))
     assert rigid == pytest.approx(expected, rel=0.05)
@@ -62,8 +61,7 @@ def test_a_mirrored_skin_mirrors_the_tips() -> None:
 
 def test_a_tip_covers_its_area_wherever_it_lies_within_a_pixel() -> None:
     centres = np.random.default_rng(5).uniform(20, 60, (50, 1, 2))
-    radii = np.full((50, 1), 7.3)
-    grey = tip_coverage(centres, radii, width=80, height=80)
+    grey = tip_coverage(centres, np.full((50, 1), 7.3), width=80, height=80)
     area = grey.astype(float).sum(axis=(1, 2)) / 255
     np.testing.assert_allclose(area, np.pi * 7.3**2, rtol=5e-3)
     rows, columns = np.mgrid[:80, :80]

@@ -99,8 +99,7 @@ description: a test
 
 def written(folder: Path, text: str) -> Path:
     path = folder / "mine.yaml"
-    parent = (ROWS / "gelsight.yaml").read_text()
-    (folder / "gelsight.yaml").write_text(parent)
+    (folder / "gelsight.yaml").write_text((ROWS / "gelsight.yaml").read_text())
     path.write_text(text)
     return path
 

@@ -89,8 +89,7 @@ def test_taxels_lie_at_i_mod_4_and_i_div_4_and_feel_what_presses_them() -> None:
     pad = TaxelPad(BODY, SIGNAL)
     np.testing.assert_allclose(SIGNAL.places[6], [0.5 * 4.7e-3, -0.5 * 4.7e-3], atol=1e-12)
     x, y = SIGNAL.places[6]
-    counts = pad.counts(SurfaceField.of(pressed(x, y)))[1]
-    assert counts[:, 2].argmax() == 6
+    assert pad.counts(SurfaceField.of(pressed(x, y)))[1][:, 2].argmax() == 6
 
 
 @pytest.fixture(scope="module")
@@ -111,8 +110,7 @@ def test_full_presses_use_the_range_of_the_discs(sheared: tuple[Result, Result])
     size = 300 + 0.2 * counts[1, :, 2].max()
     assert 3 * 300 < size < 6000
     assert 0.1 < 2e-4 * counts[2, :, 0].max() < 0.6
-    masks = draw_discs(counts)
-    assert len(find_blobs(masks[2:]).area) == 16
+    assert len(find_blobs(draw_discs(counts)[2:]).area) == 16
 
 
 def test_shear_moves_discs_the_way_the_skin_goes(sheared: tuple[Result, Result]) -> None:

@@ -122,8 +122,7 @@ def test_a_vanishing_jitter_changes_next_to_nothing() -> None:
 def test_edges_waver_by_the_stated_deviation() -> None:
     """A straight edge at subpixel positions that vary from row to row, measured by counting."""
     jitter = 0.4
-    rows = np.arange(480)
-    edge = 320 + 20 * rows / 480
+    edge = 320 + 20 * np.arange(480) / 480
     fraction = np.clip(edge[:, None] + 0.5 - np.arange(640), 0, 1)
     grey = np.rint(255 * np.broadcast_to(fraction, (60, 480, 640))).astype(np.uint8)
     seen = SegmentationErrors(Segmentation(jitter_px=jitter, correlation_px=4.0), 0, "a").masks(

@@ -34,8 +34,7 @@ def pressed(depth: float = 1e-3, steps: int = 6) -> LivePress:
 
 def test_told_the_poses_of_a_motion_it_finds_the_forces_of_the_simulation() -> None:
     motion = press([0.3e-3, 0.6e-3, 0.9e-3, 0.5e-3], speed=5e-3)
-    scene = GELSIGHT.scene(named("sphere"), motion)
-    expected = simulate_layer(scene, Layer(grid=COARSE))
+    expected = simulate_layer(GELSIGHT.scene(named("sphere"), motion), Layer(grid=COARSE))
     each, before = live(), 0.0
     for frame, (tip, time) in enumerate(zip(motion.tip, motion.time, strict=True)):
         each.move(np.array(tip), time - before)
@@ -68,8 +67,7 @@ def test_a_press_that_is_over_is_forgotten_once_its_dent_is() -> None:
     each.move(np.array([3e-3, 1e-3, 5e-3]), 0.02)
     np.testing.assert_array_equal(each.tip, [3e-3, 1e-3, 5e-3])
     again = pressed()
-    fresh = pressed()
-    np.testing.assert_allclose(again.wrench, fresh.wrench, rtol=1e-12)
+    np.testing.assert_allclose(again.wrench, pressed().wrench, rtol=1e-12)
 
 
 def test_beside_the_body_and_above_it_nothing_is_touched() -> None:

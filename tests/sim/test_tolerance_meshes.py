@@ -73,8 +73,7 @@ def test_states_of_a_contact_far_smaller_than_the_thickness_are_balanced() -> No
 
 @pytest.mark.slow
 def test_a_light_touch_is_balanced_well_enough_for_a_tolerance() -> None:
-    body = Body(34e-3, 34e-3, 4e-3)
-    scene = Scene(sphere(20e-3), press([0.02e-3]), body)
+    scene = Scene(sphere(20e-3), press([0.02e-3]), Body(34e-3, 34e-3, 4e-3))
     forces = []
     for tolerance in (_states(scene, 0.01).tolerance, _states(scene, 0.03).tolerance, 1e-5):
         (found,) = simulate_fem([scene], Fem(fineness=0.95, tolerance=tolerance))

@@ -286,8 +286,7 @@ def test_images_of_another_sensor_are_refused_in_pixels(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     fit, _, made = command
-    thick = with_quantities(planted(), {"thickness": 8e-3})
-    time, _, top = of_press(thick)
+    time, _, top = of_press(with_quantities(planted(), {"thickness": 8e-3}))
     marked = tmp_path / "other.markers.zarr"
     write_rows(marked, "press.zarr", *pictures(time, top))
     out, session = tmp_path / "mine.yaml", made.with_name("press.zarr")
@@ -322,8 +321,7 @@ def test_presses_at_three_places_tell_the_tilt() -> None:
 
 def test_expected_intervals_are_those_of_a_fit(fit: Fit) -> None:
     planner = Planner(planted(), noise=0.005, grid=COARSE, law=fit.law)
-    expected = planner.expected([SHORT["sphere"]]).spreads
-    for name, found in expected.items():
+    for name, found in planner.expected([SHORT["sphere"]]).spreads.items():
         assert 0.5 < fit.spreads[name] / found < 2.0, name
 
 
@@ -450,8 +448,7 @@ def test_points_are_where_the_tip_starts_and_stops() -> None:
     for corner in corners[np.minimum(tips[:, 2], np.roll(tips[:, 2], 1)) < 0]:
         assert np.abs(track.time - corner).min() < 0.03
     level = dict.fromkeys(("height", "compliance", "turn_x", "turn_y", "turn_z"), 0.0)
-    values = {**quantities(skin), **level}
-    (read,) = TrackModel(skin, [track], grid=COARSE).readings(values)
+    (read,) = TrackModel(skin, [track], grid=COARSE).readings({**quantities(skin), **level})
     shear, expected = (np.linalg.norm(each[:, :2], axis=1) for each in (read, track.force))
     rest = track.rest & track.contact & (expected > 0.3 * expected.max())
     assert rest.sum() >= 4

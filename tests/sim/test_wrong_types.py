@@ -43,14 +43,7 @@ from sim.scene import through
 from sim.sensors import Pins, SurfaceField, sensor
 from sim.sensors.posterior import Posterior
 from sim.sensors.taxels import Interior, TaxelPad
-from sim.sensors.variation import (
-    Drift,
-    Framing,
-    Grip,
-    Mount,
-    Segmentation,
-    SegmentationErrors,
-)
+from sim.sensors.variation import Drift, Framing, Grip, Mount, Segmentation, SegmentationErrors
 from sim.stream import LiveMarkers, LivePress
 
 SCENE = Scene(sphere(4e-3), press([0.5e-3]))

@@ -85,12 +85,9 @@ class Shading:
     ) -> NDArray[np.uint8]:
         """Return a picture (H, W, 3) of the lit skin with markers in ink.
 
-        Args:
-            normals: Outward normals of the skin (X, Y, 3) on the even grid `x`, `y`.
-            x: Grid along x (X,) [m].
-            y: Grid along y (Y,) [m].
-            material: Undeformed (x, y) [m] of the material point at each pixel (H, W, 2), or NaN.
-            coverage: Fraction of each pixel that markers cover (H, W), 0 to 1.
+        Outward normals (X, Y, 3) are on the even grid `x` (X,), `y` (Y,) [m]. Each pixel has the
+        undeformed (x, y) [m] of its material point (H, W, 2), or NaN, and the fraction that markers
+        cover (H, W).
         """
         seen = np.isfinite(material[..., 0])
         places = np.where(seen[..., None], material, 0.0)

@@ -65,22 +65,14 @@ def made_up_archive(
     invalid: Sequence[int] = (),
     finish: bool = True,
 ) -> MarkerArchive:
-    """Make an archive and open it.
+    """Make an archive `X.markers.zarr` of sensors of `STIFFNESS`, and open it.
 
-    Args:
-        path: Archive to write, `X.markers.zarr`.
-        sensors: Names of `STIFFNESS`.
-        indenters: Names of the indenters, by code.
-        unseen: Indenters that no model may be trained on.
-        targets: Presses per indenter.
-        frames_per_phase: A press has one frame without contact and four times this number.
-        displacement: If true, the first sensor stores the field and the others share it.
-        force_depth: Presses without a location by the last indenter, at the end of each sensor.
-        unloading: Factor on the pressing force while it unloads.
-        stiffness: Factor on the forces of a sensor, by name.
-        unlabelled: Sensors without a wrench.
-        invalid: Rows that are invalid, the same in every sensor.
-        finish: If true, the archive is completed; otherwise its last unit is missing.
+    Each indenter presses `targets` times; a press has one frame without contact and four times
+    `frames_per_phase`. No model may be trained on `unseen` indenters. With `displacement` the first
+    sensor stores the field and the others share it. `force_depth` presses by the last indenter,
+    without a location, end each sensor. `unloading` is a factor on the pressing force while it
+    unloads, `stiffness` one on the forces of a sensor. Sensors of `unlabelled` have no wrench;
+    `invalid` rows are the same in every sensor. Without `finish`, the last unit is missing.
     """
     presses = _presses(indenters, targets, frames_per_phase, force_depth)
     length = 1 + 4 * frames_per_phase

@@ -42,8 +42,7 @@ def within_stated(session_path: Path, truth_path: Path) -> dict[str, float]:
 
 def _stated(session: Session, name: str) -> np.ndarray:
     """Return the stated uncertainty of each sample of a stream (n,) [s]."""
-    runs = range(max(len(session.runs), 1))
-    parts = [sigmas_of(session, run)[name] for run in runs]
+    parts = [sigmas_of(session, run)[name] for run in range(max(len(session.runs), 1))]
     return np.concatenate([np.hypot(part.each, part.exposure) for part in parts])
 
 

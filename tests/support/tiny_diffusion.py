@@ -101,6 +101,5 @@ def striped_pairs(count: int = 4) -> PairedFrames:
     source = (shifted[:, None, :] * 255).expand(-1, SIDE, -1).to(torch.uint8)
     images = torch.cat((source, source.transpose(1, 2)))
     belongs = torch.arange(2 * count) // count
-    every = torch.arange(2 * count)
-    pairs = every.view(2, count).T
+    pairs = torch.arange(2 * count).view(2, count).T
     return PairedFrames(images, belongs, belongs, images[[0, count]], pairs)

@@ -107,8 +107,7 @@ def test_from_folders_to_scores_on_the_object_left_out(
         assert len(session.runs) == 2
         assert np.isnan(session.targets["depth"]).all()
         assert session.attrs["imported"]["place"] == "unknown"
-        pressed = session.frames["wrench"][:, 2].min()
-        assert pressed == pytest.approx(-5.0, abs=0.1)
+        assert session.frames["wrench"][:, 2].min() == pytest.approx(-5.0, abs=0.1)
     archive = tmp_path / "gel.markers.zarr"
     named = f"{sessions[0]} {sessions[1]}"
     asked = f"markers {named} --preset PRESET --mm-per-px MM --out {archive}"
@@ -441,8 +440,7 @@ def _exported(kind: str, folder: Path, force: np.ndarray) -> Path:
 
 
 def test_the_penalty_of_the_baseline_is_chosen_on_groups_left_out() -> None:
-    random = np.random.default_rng(0)
-    features = random.normal(size=(60, 11))
+    features = np.random.default_rng(0).normal(size=(60, 11))
     wanted = features[:, 0] * 3 - features[:, 4] + 2
     wanted[5] = np.nan
     ridge = fit_ridge(features, wanted, np.repeat(range(6), 10).tolist())

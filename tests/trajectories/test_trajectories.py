@@ -212,11 +212,7 @@ def test_unknown_kinds_and_fields_are_refused() -> None:
 
 
 WIDE = Limits(
-    box_x=(-0.01, 0.01),
-    box_y=(-0.01, 0.01),
-    depth_max=2e-3,
-    height_max=0.01,
-    duration_max=3600.0,
+    box_x=(-0.01, 0.01), box_y=(-0.01, 0.01), depth_max=2e-3, height_max=0.01, duration_max=3600.0
 )
 
 

@@ -16,11 +16,7 @@ Numbers = list[int | None]
 
 
 class FrameStore:
-    """One way to store frames on disk; each module has a subclass `Store`.
-
-    Args:
-        profile: How the frames are stored.
-    """
+    """One way to store frames on disk, by its profile; each module has a subclass `Store`."""
 
     def __init__(self, profile: str) -> None:
         self.profile = profile
