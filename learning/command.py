@@ -23,12 +23,8 @@ def add_split(parser: argparse.ArgumentParser) -> None:
         help="split.json of another training (made: 10 %% of the presses of each seen indenter for "
         "validation, 10 %% and all of unseen indenters for tests)",
     )
-    parser.add_argument(
-        "--unseen",
-        type=names_or_none,
-        metavar="NAME,...",
-        help="indenters excluded from training, if a split is made (the archive's list; none: '')",
-    )
+    about = "indenters excluded from training, if a split is made (the archive's list; none: '')"
+    parser.add_argument("--unseen", type=names_or_none, metavar="NAME,...", help=about)
 
 
 def add_settings(
@@ -38,23 +34,15 @@ def add_settings(
     example: str = "over the preset",
 ) -> None:
     """Add the options for a preset and for settings over it, with `known` and `example` as help."""
-    parser.add_argument(
-        "--preset",
-        default=preset,
-        metavar="NAME",
-        help=known or f"name of a preset, or a YAML file ({preset})",
-    )
+    about = known or f"name of a preset, or a YAML file ({preset})"
+    parser.add_argument("--preset", default=preset, metavar="NAME", help=about)
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=example)
 
 
 def add_sensors(parser: argparse.ArgumentParser) -> None:
     """Add the option that chooses some of an archive's sensors."""
-    parser.add_argument(
-        "--sensors",
-        type=names,
-        metavar="NAME,...",
-        help="learn from these (all that are not held out)",
-    )
+    about = "learn from these (all that are not held out)"
+    parser.add_argument("--sensors", type=names, metavar="NAME,...", help=about)
 
 
 def add_unseen(parser: argparse._ActionsContainer) -> None:

@@ -114,9 +114,7 @@ def _by_tier(
 
         outcomes: list[Outcome] = []
         for index, scene in enumerate(scenes):
-            fraction = None
-            if progress is not None:
-                fraction = part_of(progress, index, len(scenes))
+            fraction = None if progress is None else part_of(progress, index, len(scenes))
             try:
                 outcomes.append(simulate_layer(scene, tier, progress=fraction))
             except SimulationDiverged as diverged:

@@ -30,21 +30,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "numbers of the presses are ignored. Prints the number of matches of each two sensors, and "
         "why the other presses have none. Repeat a stopped command to continue it."
     )
-    parser.add_argument(
-        "archives",
-        nargs="+",
-        metavar="ARCHIVE[:SENSOR[=NAME],...]",
-        help="X.markers.zarr: all of its sensors, or these, some under another name",
-    )
-    parser.add_argument("--out", type=Path, metavar="PATH", help="archive to write, X.markers.zarr")
+    add = parser.add_argument
+    about = "X.markers.zarr: all of its sensors, or these, some under another name"
+    add("archives", nargs="+", metavar="ARCHIVE[:SENSOR[=NAME],...]", help=about)
+    add("--out", type=Path, metavar="PATH", help="archive to write, X.markers.zarr")
     add_tolerances(parser)
-    parser.add_argument(
-        "--unseen",
-        type=names_or_none,
-        metavar="NAME,...",
-        help="indenters excluded from training, '' for none (default: as in the archives)",
-    )
-    parser.add_argument("--dry-run", action="store_true", help="print the matches, write nothing")
+    about = "indenters excluded from training, '' for none (default: as in the archives)"
+    add("--unseen", type=names_or_none, metavar="NAME,...", help=about)
+    add("--dry-run", action="store_true", help="print the matches, write nothing")
 
 
 def add_tolerances(parser: argparse.ArgumentParser) -> None:

@@ -21,20 +21,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add = parser.add_argument
     add("model", type=Path, metavar="MODEL", help="RUN/model of `tactile transfer`")
-    add(
-        "--weights",
-        type=weights,
-        required=True,
-        metavar="50g,100g,...",
-        help="masses, in the order in which they were laid on",
-    )
-    add(
-        "--carrier",
-        type=weights,
-        default=[0.0],
-        metavar="20g",
-        help="mass of what each of them stands on (0g)",
-    )
+    about = "masses, in the order in which they were laid on"
+    add("--weights", type=weights, required=True, metavar="50g,100g,...", help=about)
+    about = "mass of what each of them stands on (0g)"
+    add("--carrier", type=weights, default=[0.0], metavar="20g", help=about)
     add_value(parser, "--gravity", "M/S2", GRAVITY, "where they are laid on [m/s^2]", positive)
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--holds", type=Path, metavar="CSV", help="written by live --out")

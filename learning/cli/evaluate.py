@@ -38,27 +38,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "features of colours. A force model and an archive: its forces, and the intervals of a "
         "model of `transfer`, are compared with labels, on indenters that it did not learn from."
     )
-    parser.add_argument(
-        "inputs",
-        nargs="+",
-        metavar="PATH",
-        help="folder of .npz results, X.markers.zarr or X.markers.zarr:SENSOR, a force model",
-    )
+    add = parser.add_argument
+    about = "folder of .npz results, X.markers.zarr or X.markers.zarr:SENSOR, a force model"
+    add("inputs", nargs="+", metavar="PATH", help=about)
     add_value(parser, "--out", "DIR", Path("report"), "report folder", Path)
-    parser.add_argument(
-        "--split",
-        type=Path,
-        metavar="JSON",
-        help="split.json of a training (the one that a training of the archive makes)",
-    )
-    parser.add_argument(
-        "--role",
-        type=names,
-        default=ROLES,
-        metavar="ROLE,...",
-        help=f"which presses are scored ({ROLES})",
-    )
-    parser.add_argument(
+    about = "split.json of a training (the one that a training of the archive makes)"
+    add("--split", type=Path, metavar="JSON", help=about)
+    about = f"which presses are scored ({ROLES})"
+    add("--role", type=names, default=ROLES, metavar="ROLE,...", help=about)
+    add(
         "--features",
         default="marker-grid",
         metavar="NAME|PATH",

@@ -16,20 +16,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "then reports their errors on held-out presses, before and after the transfer. An "
         "interrupted experiment continues when the command is repeated."
     )
-    parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="result folder")
+    add = parser.add_argument
+    add("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
+    add("--out", type=Path, required=True, metavar="DIR", help="result folder")
     add_settings(parser, "demo")
-    parser.add_argument(
-        "--pairs", type=names, metavar="A:B,...", help="pairs from A to B (all directed pairs)"
-    )
+    add("--pairs", type=names, metavar="A:B,...", help="pairs from A to B (all directed pairs)")
     add_device(parser)
-    parser.add_argument(
-        "--processes",
-        type=int,
-        default=os.cpu_count() or 1,
-        metavar="N",
-        help="processes that track markers (all cores)",
-    )
+    about = "processes that track markers (all cores)"
+    add("--processes", type=int, default=os.cpu_count() or 1, metavar="N", help=about)
     add_value(parser, "--jobs", "N", 1, "models trained in parallel, as far as memory allows", int)
 
 

@@ -20,14 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--out", type=Path, metavar="YAML", help="preset to write")
     add("--pitch-mm", type=float, metavar="MM", help="distance between neighbouring markers [mm]")
-    add(
-        "--pressed",
-        nargs="+",
-        type=Path,
-        default=[],
-        metavar="IMAGE",
-        help="pictures with contact, in which the same markers are looked for",
-    )
+    about = "pictures with contact, in which the same markers are looked for"
+    add("--pressed", nargs="+", type=Path, default=[], metavar="IMAGE", help=about)
     add("--sheet", type=Path, metavar="PNG", help="draw all pictures, with outlines")
 
 

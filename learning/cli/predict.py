@@ -41,13 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr, with labels or without")
     add("--sensor", metavar="NAME", help="target sensor (that of the model, or the only one)")
     add("--split", type=Path, metavar="JSON", help="roles of presses (the model's)")
-    add(
-        "--role",
-        type=names,
-        default=ROLES,
-        metavar="ROLE,...",
-        help=f"which presses of the split ({ROLES})",
-    )
+    about = f"which presses of the split ({ROLES})"
+    add("--role", type=names, default=ROLES, metavar="ROLE,...", help=about)
     add_device(parser)
     add("--out", type=Path, required=True, metavar="NPZ", help="file to write")
 

@@ -22,21 +22,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "intervals, card), RUN/before (the source's model) and RUN/report.html. Repeat the command "
         "to continue."
     )
+    add = parser.add_argument
     for name, text in (("source", "sensor with labels"), ("target", "sensor without a gauge")):
-        parser.add_argument(
-            f"--{name}",
-            required=True,
-            metavar="ARCHIVE:SENSOR[=NAME]",
-            help=f"{text}, X.markers.zarr",
-        )
-    parser.add_argument(
+        about = f"{text}, X.markers.zarr"
+        add(f"--{name}", required=True, metavar="ARCHIVE:SENSOR[=NAME]", help=about)
+    add(
         "--source-model",
         type=Path,
         metavar="MODEL",
         help="use this force model of the source, such as an imported one of the authors, in place "
         "of training one; it has seen all indenters that it was trained on elsewhere",
     )
-    parser.add_argument(
+    add(
         "--priors",
         type=Path,
         nargs="+",
@@ -45,47 +42,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="force-depth curves: sessions of `tactile force-depth`, a folder of published "
         "coefficients, or the target's archive if it has such presses (none: scale assumed)",
     )
-    parser.add_argument(
-        "--labels",
-        type=Path,
-        metavar="CSV",
-        help="a few labels of the target: columns indenter, target, frame, fx_n, fy_n, fz_n [N]",
-    )
-    parser.add_argument(
-        "--source-labels",
-        type=Path,
-        metavar="CSV",
-        help="labels of the source, as readings typed in, in place of those of its archive",
-    )
-    parser.add_argument(
-        "--force-ratio",
-        type=positive,
-        metavar="R",
-        help="assumed force of the target over the source's at the same fraction of depth (1)",
-    )
-    parser.add_argument(
+    about = "a few labels of the target: columns indenter, target, frame, fx_n, fy_n, fz_n [N]"
+    add("--labels", type=Path, metavar="CSV", help=about)
+    about = "labels of the source, as readings typed in, in place of those of its archive"
+    add("--source-labels", type=Path, metavar="CSV", help=about)
+    about = "assumed force of the target over the source's at the same fraction of depth (1)"
+    add("--force-ratio", type=positive, metavar="R", help=about)
+    add(
         "--scale-within",
         type=positive,
         metavar="K",
         help="true forces are assumed to be within 1/K and K times the predicted ones, at 90 %% "
         "(2; with force-depth curves of both skins 1.25)",
     )
-    parser.add_argument(
-        "--calibrate-on",
-        type=names,
-        metavar="NAME,...",
-        help="indenters that calibrate the intervals, then are trained on (a quarter)",
-    )
-    parser.add_argument(
-        "--unseen",
-        type=names,
-        metavar="NAME,...",
-        help="indenters that no stage uses (as in the archives)",
-    )
+    about = "indenters that calibrate the intervals, then are trained on (a quarter)"
+    add("--calibrate-on", type=names, metavar="NAME,...", help=about)
+    about = "indenters that no stage uses (as in the archives)"
+    add("--unseen", type=names, metavar="NAME,...", help=about)
     add_tolerances(parser)
     add_settings(parser, "transfer")
     add_device(parser)
-    parser.add_argument("--out", type=Path, required=True, metavar="RUN", help="folder of the run")
+    add("--out", type=Path, required=True, metavar="RUN", help="folder of the run")
 
 
 def run(options: argparse.Namespace) -> int:

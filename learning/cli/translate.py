@@ -38,12 +38,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--out", type=Path, required=True, metavar="PATH", help="Y.markers.zarr")
     add("--split", type=Path, metavar="JSON", help="a split, for --role")
-    add(
-        "--role",
-        type=names,
-        metavar="NAME,...",
-        help="only these parts of the split, e.g. new_press",
-    )
+    about = "only these parts of the split, e.g. new_press"
+    add("--role", type=names, metavar="NAME,...", help=about)
     add_device(parser)
     add("--sheet", type=Path, metavar="PNG", help="draw a contact sheet as well")
 

@@ -15,39 +15,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "default, a label-free choice by the priors' fits, and an oracle that uses the target's "
         "labels. train force --labels reads the file."
     )
-    parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
-    parser.add_argument("--out", type=Path, metavar="JSON", required=True, help="file to write")
-    parser.add_argument(
-        "--pairs",
-        type=_pairs,
-        metavar="A:B,...",
-        help="labels of A for B (default: all pairs with priors)",
-    )
-    parser.add_argument(
-        "--split",
-        type=Path,
-        metavar="JSON",
-        help="labels of its training presses (default: all seen indenters)",
-    )
-    parser.add_argument(
-        "--session",
-        type=Path,
-        action="append",
-        default=[],
-        metavar="SESSION",
-        help="session of `tactile force-depth`, used instead of the archive's rows",
-    )
-    parser.add_argument(
-        "--coefficients", type=Path, metavar="DIR", help="published <sensor>_down.csv and _up.csv"
-    )
-    parser.add_argument(
+    add = parser.add_argument
+    add("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
+    add("--out", type=Path, metavar="JSON", required=True, help="file to write")
+    about = "labels of A for B (default: all pairs with priors)"
+    add("--pairs", type=_pairs, metavar="A:B,...", help=about)
+    about = "labels of its training presses (default: all seen indenters)"
+    add("--split", type=Path, metavar="JSON", help=about)
+    about = "session of `tactile force-depth`, used instead of the archive's rows"
+    add("--session", type=Path, action="append", default=[], metavar="SESSION", help=about)
+    add("--coefficients", type=Path, metavar="DIR", help="published <sensor>_down.csv and _up.csv")
+    add(
         "--coefficients-of",
         choices=("mm", "fraction"),
         default="mm",
         help="unit of depth in published coefficients: mm, or fraction of the depth range "
         "(heterogeneous test) (%(default)s)",
     )
-    parser.add_argument(
+    add(
         "--range-mm",
         type=named_number,
         action="append",

@@ -357,9 +357,8 @@ _POINTS = 300
 
 def tables(compensation: StoredCompensation, gathered: ArchivePriors) -> Iterator[str]:
     """Yield the lines of a table of priors, a table of pairs and a summary."""
-    yield f"{'sensor':<14}{'range':>9}  {'loading at 1/2, 1':>20}{'rms':>8}  " + (
-        f"{'unloading':>20}{'rms':>8}  [N]"
-    )
+    halves = f"{'loading at 1/2, 1':>20}{'rms':>8}  {'unloading':>20}{'rms':>8}"
+    yield f"{'sensor':<14}{'range':>9}  {halves}  [N]"
     for prior in compensation.priors.values():
         yield (
             f"{prior.sensor:<14}{1e3 * prior.depth_range:>6.2f} mm  {_fit_text(prior.loading)}"

@@ -294,7 +294,9 @@ def force_rows(predictions: Iterable[Predictions]) -> tuple[ForceRow, ...]:
     """Return the errors by role, and over all held-out frames; without labels there is no row."""
     rows: list[ForceRow] = []
     for one in predictions:
-        parts = [(role, one.role == role) for role in _in_order(np.unique(one.role).tolist())]
+        others = sorted(set(one.role.tolist()) - set(HELD_OUT))
+        roles = [role for role in (*HELD_OUT, *others) if role in one.role]
+        parts = [(role, one.role == role) for role in roles]
         held_out = np.isin(one.role, HELD_OUT)
         if held_out.any():
             parts.append((ALL, held_out))
@@ -375,10 +377,6 @@ def force_line(row: ForceRow) -> dict[str, Any]:
         "frames": row.errors.frames,
         **{name: row.value(name) for name in MEASURES},
     }
-
-
-def _in_order(roles: list[str]) -> list[str]:
-    return sorted(roles, key=lambda role: (HELD_OUT.index(role) if role in HELD_OUT else 2, role))
 
 
 def _cell(value: Any) -> Any:

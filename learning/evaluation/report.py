@@ -119,8 +119,8 @@ def _gains(rows: Sequence[ForceRow]) -> dict[str, Any]:
         if target in of_target:
             some[of_target[target].variant] = of_target[target]
     lines = [(f"mean of {len(by_pair)}", list(by_pair.values()))] if len(by_pair) > 1 else []
-    for pair in sorted(by_pair, key=lambda pair: [natural_key(name) for name in pair]):
-        lines.append((" to ".join(dict.fromkeys(pair)), [by_pair[pair]]))
+    in_order = sorted(by_pair, key=lambda pair: [natural_key(name) for name in pair])
+    lines += [(" to ".join(dict.fromkeys(pair)), [by_pair[pair]]) for pair in in_order]
     return {
         "ways": ways,
         "lines": [

@@ -195,10 +195,8 @@ class _Shading:
     def frames(self, recording: Recording, rows: Integers) -> Stored:
         no_contact = self._no_contact(recording)
         images, reference = recording.column("image")[rows], recording.reference[rows]
-        frames = []
-        for image, still in zip(images, no_contact[reference], strict=True):
-            frames.append(shading_of(cells_of(recording.picture(int(image)), self._preset), still))
-        return np.stack(frames)
+        cells = (cells_of(recording.picture(int(image)), self._preset) for image in images)
+        return np.stack(list(map(shading_of, cells, no_contact[reference])))
 
     def _no_contact(self, recording: Recording) -> NDArray[np.float32]:
         """Return the colours without contact (k, 3, 128, 128) of each reference in use."""

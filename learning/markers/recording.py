@@ -1,6 +1,7 @@
 """Sessions as rows of an archive: choice of frames, their metadata, and grouping of sessions."""
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -326,16 +327,16 @@ def read_group(
         _require_one_device(some)
         some.sort(key=lambda one: (indenters.index(one.indenter), not one.located))
         placed = []
-        begun: dict[str, int] = {}
+        begun = Counter[str]()
         for one in some:
-            if not one.is_imported:
-                first = indenters.index(one.indenter) * targets if one.located else None
-                placed.append(_numbered(one, 0 if one.located else targets, first))
-                continue
-            number = begun.get(one.indenter, 0)
-            placed.append(_numbered(one, number, free))
-            begun[one.indenter] = number + one.targets
-            free += one.targets
+            if one.is_imported:
+                placed.append(_numbered(one, begun[one.indenter], free))
+                begun[one.indenter] += one.targets
+                free += one.targets
+            elif one.located:
+                placed.append(_numbered(one, 0, indenters.index(one.indenter) * targets))
+            else:
+                placed.append(_numbered(one, targets, None))
         sensors[name] = placed
     return sensors, indenters
 
@@ -432,5 +433,4 @@ def _require_one_device(recordings: Sequence[Recording]) -> None:
 
 
 def _size(recording: Recording) -> tuple[int, ...]:
-    camera = recording.camera
-    return camera.layout.columns[0].column.shape
+    return recording.camera.layout.columns[0].column.shape

@@ -11,11 +11,8 @@ from recorder.findings import faults
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add_session(parser, remote=True)
-    parser.add_argument(
-        "--quick",
-        action="store_true",
-        help="hold only metadata and the ends of files against the manifest; takes seconds",
-    )
+    about = "hold only metadata and the ends of files against the manifest; takes seconds"
+    parser.add_argument("--quick", action="store_true", help=about)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -11,12 +11,8 @@ from recorder.session.sheet import contact_sheet
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add_session(parser, remote=True)
-    parser.add_argument(
-        "--picture",
-        type=Path,
-        metavar="PNG",
-        help="also draw a session on one page: frames, force and depth over time",
-    )
+    about = "also draw a session on one page: frames, force and depth over time"
+    parser.add_argument("--picture", type=Path, metavar="PNG", help=about)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -18,13 +18,8 @@ _STATUSES = ("recording", "complete", "stopped", "recovered", UNREADABLE)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add = parser.add_argument
-    add(
-        "folder",
-        type=Path,
-        nargs="?",
-        default=Path("sessions"),
-        help="folder of sessions, searched with its subfolders (%(default)s)",
-    )
+    about = "folder of sessions, searched with its subfolders (%(default)s)"
+    add("folder", type=Path, nargs="?", default=Path("sessions"), help=about)
     add("--sensor", default="", metavar="NAME", help="only sessions of this sensor")
     add("--indenter", default="", metavar="NAME", help="only sessions with this indenter")
     add("--plan", default="", metavar="KIND", help="press_shear or force_depth")
@@ -33,20 +28,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--since", type=day, metavar="DATE", help="first day, such as 2026-11-24 (UTC)")
     add("--until", type=day, metavar="DATE", help="last day, included (UTC)")
     faults = parser.add_mutually_exclusive_group()
-    faults.add_argument(
-        "--faults",
-        action="store_true",
-        default=None,
-        help="only sessions that are not complete, dropped samples or failed their last check",
-    )
+    about = "only sessions that are not complete, dropped samples or failed their last check"
+    faults.add_argument("--faults", action="store_true", default=None, help=about)
     faults.add_argument(
         "--no-faults", action="store_false", dest="faults", help="only sessions without faults"
     )
-    add(
-        "--check",
-        action="store_true",
-        help="check the listed sessions that were not checked since they changed; may take long",
-    )
+    about = "check the listed sessions that were not checked since they changed; may take long"
+    add("--check", action="store_true", help=about)
     add("--json", action="store_true", help="print one JSON object per session")
 
 

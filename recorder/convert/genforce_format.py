@@ -130,8 +130,7 @@ def _jpegs(camera: Stream, rows: Sequence[int]) -> Iterator[bytes]:
     if camera.jpeg_shape is not None:
         yield from camera.jpegs(rows)
         return
-    for row in rows:
-        yield images.encode_jpeg(camera.images([row])[0], _QUALITY)
+    yield from (images.encode_jpeg(camera.images([row])[0], _QUALITY) for row in rows)
 
 
 def _reference(session: Session, name: str, folder: Path) -> None:

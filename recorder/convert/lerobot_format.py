@@ -573,8 +573,7 @@ def _of_bytes(name: str, images: list[bytes], times: Times) -> Film:
     jpeg = all(each[:2] == JPEG for each in images)
 
     def load() -> Iterator[Any]:
-        for each in images:
-            yield each if jpeg else pixels_of_picture(name, each)
+        return (each if jpeg else pixels_of_picture(name, each) for each in images)
 
     about = "times of the data set", "the files' bytes"
     return film_of_pictures(name, sizes, times, load, jpeg=jpeg, about=about)

@@ -56,51 +56,39 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "sim/sensors and YAML files between commas; or an archive to continue",
     )
     group = parser.add_argument_group("contents")
+    add = group.add_argument
     about = "sensors drawn from the uncertainty of each twin (of tactile twin fit) in its place"
     add_value(group, "--draws", "N", 0, about, whole(0, DRAWS_MOST))
-    group.add_argument(
+    add(
         "--scale",
         metavar="SHARE",
         help="fraction of the targets, smoke (2 indenters, a coarse mesh) or full (0.1; states: "
         "full)",
     )
-    group.add_argument(
-        "--steps", type=whole(1, STEPS_MAX), metavar="N", help="frames per phase (10; smoke: 3)"
-    )
-    group.add_argument("--indenters", type=names, metavar="NAME,...", help="some of the 18 (all)")
+    add("--steps", type=whole(1, STEPS_MAX), metavar="N", help="frames per phase (10; smoke: 3)")
+    add("--indenters", type=names, metavar="NAME,...", help="some of the 18 (all)")
     add_value(group, "--drawn", "N", 0, "randomly drawn indenters besides", int)
     add_seed(group)
-    group.add_argument(
-        "--out",
-        type=Path,
-        metavar="PATH",
-        help="archive (data/CONTENTS.markers.zarr; of several sensors: data/sensors.markers.zarr)",
-    )
+    about = "archive (data/CONTENTS.markers.zarr; of several sensors: data/sensors.markers.zarr)"
+    add("--out", type=Path, metavar="PATH", help=about)
     group = parser.add_argument_group("solver")
-    group.add_argument(
-        "--tier", choices=("layer", "fem"), help="layer: small strain, milliseconds (fem)"
-    )
-    group.add_argument(
-        "--spacing",
-        type=float,
-        metavar="MM",
-        help="height of an element of fem [mm] (a fifth of the thickness, 1.2 at most)",
-    )
-    group.add_argument(
-        "--tolerance",
-        metavar="ERROR",
-        help='accepted error, "3 %%", "0.05 N" or "0.5 px", in place of --tier and --spacing',
-    )
+    add = group.add_argument
+    add("--tier", choices=("layer", "fem"), help="layer: small strain, milliseconds (fem)")
+    about = "height of an element of fem [mm] (a fifth of the thickness, 1.2 at most)"
+    add("--spacing", type=float, metavar="MM", help=about)
+    about = 'accepted error, "3 %%", "0.05 N" or "0.5 px", in place of --tier and --spacing'
+    add("--tolerance", metavar="ERROR", help=about)
     group = parser.add_argument_group("execution")
     add_device(group)
-    group.add_argument(
+    add = group.add_argument
+    add(
         "--processes",
         type=whole(),
         metavar="N",
         help="worker processes (2); with fem on a GPU, those that render images "
         f"(at most {RENDERERS})",
     )
-    group.add_argument("--no-check", action="store_true", help="do not count markers at the end")
+    add("--no-check", action="store_true", help="do not count markers at the end")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -22,12 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr, complete")
     add("--sensor", required=True, metavar="NAME", help="sensor of the archive")
-    add(
-        "--twin",
-        required=True,
-        metavar="NAME",
-        help="its twin: a YAML file, or a row of sim/sensors",
-    )
+    about = "its twin: a YAML file, or a row of sim/sensors"
+    add("--twin", required=True, metavar="NAME", help=about)
     about = "sensors drawn for the spread; 0: none"
     add_value(parser, "--draws", "N", 8, about, whole(0, 1000))
     add(

@@ -298,17 +298,14 @@ def tier_of(options: argparse.Namespace) -> Layer | Fem:
 
 def _add_motion_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("motion")
+    add = group.add_argument
     about = "depths to go to in turn, from the touched surface [mm]"
     add_value(group, "--depths", "MM,...", (0.5, 1.0, 1.5), about, numbers())
-    group.add_argument(
+    add(
         "--hold", type=positive, metavar="S", help="rest at the last depth for this time [s] (none)"
     )
-    group.add_argument(
-        "--shear",
-        type=positive,
-        metavar="MM",
-        help="then move sideways by this length, back, and lift [mm] (none)",
-    )
+    about = "then move sideways by this length, back, and lift [mm] (none)"
+    add("--shear", type=positive, metavar="MM", help=about)
     add_value(group, "--angle", "DEG", 0.0, "direction of the shear, from x towards y [deg]")
     about = "frames of each press, hold, shear, return and lift"
     add_value(group, "--steps", "N", 1, about, whole(1, STEPS_MAX))
@@ -337,29 +334,20 @@ def _add_body_options(parser: argparse.ArgumentParser) -> None:
 
 def _add_effect_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("effects")
+    add = group.add_argument
     add_value(group, "--friction", "MU", 0.0, "coefficient of Coulomb friction; 0 is frictionless")
-    group.add_argument(
+    add(
         "--viscosity",
         type=branches,
         metavar="RATIO:S[,...]",
         help="relaxing branches: stiffness over the stiffness at rest, and time [s]; or none "
         "(none)",
     )
-    group.add_argument(
-        "--relaxes",
-        choices=("all", "shear"),
-        default="all",
-        help="all: pressure and shear relax; shear: shear alone (%(default)s)",
-    )
-    group.add_argument(
-        "--inertia",
-        type=float,
-        nargs="?",
-        const=1.0,
-        metavar="SCALE",
-        help="simulate inertia, with the mass scaled by this factor (off; alone: 1)",
-    )
-    group.add_argument(
+    about = "all: pressure and shear relax; shear: shear alone (%(default)s)"
+    add("--relaxes", choices=("all", "shear"), default="all", help=about)
+    about = "simulate inertia, with the mass scaled by this factor (off; alone: 1)"
+    add("--inertia", type=float, nargs="?", const=1.0, metavar="SCALE", help=about)
+    add(
         "--gravity",
         type=numbers(3),
         nargs="?",
@@ -367,7 +355,7 @@ def _add_effect_options(parser: argparse.ArgumentParser) -> None:
         metavar="X,Y,Z",
         help="simulate the body's weight, with this acceleration [m/s^2] (off; alone: 0,0,-9.81)",
     )
-    group.add_argument(
+    add(
         "--effects",
         action="store_true",
         help="only print a table of the changes by each effect: force [%%], markers [px] and time "

@@ -37,28 +37,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add = parser.add_argument
     add("sessions", nargs="+", type=Path, metavar="SESSION", help="sessions of one sensor")
-    add(
-        "--sensor",
-        required=True,
-        metavar="NAME",
-        help="design to begin with: a row of sim/sensors, or a YAML file",
-    )
-    add(
-        "--markers",
-        nargs="+",
-        type=Path,
-        default=[],
-        metavar="ARCHIVE",
-        help="marker archives of these sessions (tactile markers), for camera and layout",
-    )
-    add(
-        "--held-out",
-        nargs="+",
-        type=Path,
-        default=[],
-        metavar="SESSION",
-        help="sessions that are not fitted but foretold",
-    )
+    about = "design to begin with: a row of sim/sensors, or a YAML file"
+    add("--sensor", required=True, metavar="NAME", help=about)
+    about = "marker archives of these sessions (tactile markers), for camera and layout"
+    add("--markers", nargs="+", type=Path, default=[], metavar="ARCHIVE", help=about)
+    about = "sessions that are not fitted but foretold"
+    add("--held-out", nargs="+", type=Path, default=[], metavar="SESSION", help=about)
     add("--out", type=Path, default=Path("twin.yaml"), metavar="PATH", help="row (%(default)s)")
     add("--picture", type=Path, metavar="PATH", help="picture (beside --out, .png)")
     add("--json", action="store_true", help="print the result as JSON")

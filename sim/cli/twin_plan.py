@@ -21,17 +21,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "expect, with the plan and with four presses by sphere and prism."
     )
     add = parser.add_argument
-    add(
-        "--sensor",
-        required=True,
-        metavar="NAME",
-        help="design to begin with: a row of sim/sensors, or a YAML file",
-    )
-    add(
-        "--bench",
-        metavar="FILE",
-        help="bench file that presses, or a packaged one (that of --sensor)",
-    )
+    about = "design to begin with: a row of sim/sensors, or a YAML file"
+    add("--sensor", required=True, metavar="NAME", help=about)
+    about = "bench file that presses, or a packaged one (that of --sensor)"
+    add("--bench", metavar="FILE", help=about)
     add("--out", type=Path, default=Path("twin-plan"), metavar="PATH", help="folder (%(default)s)")
     about = "time for all presses, with changes of the indenter"
     add_value(parser, "--minutes", "MIN", MINUTES, about, positive)

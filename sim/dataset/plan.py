@@ -114,11 +114,6 @@ class Solving:
             one_topology=self.one_topology,
         )
 
-    @property
-    def scales_with_modulus(self) -> bool:
-        """True if forces may be scaled with the modulus; not with a tolerance in newtons."""
-        return self.tolerance is None or not self.tolerance.strip().endswith("N")
-
 
 @dataclass(frozen=True, slots=True)
 class Solved:
@@ -611,7 +606,7 @@ def _deformation(plan: DatasetPlan, each: SimulatedSensor) -> Hashable:
 
 
 def _proportional(plan: DatasetPlan, each: SimulatedSensor) -> bool:
-    """Return True if forces are proportional to the modulus at the same deformation."""
-    effects = each.effects
-    massless = effects.inertia is None and effects.gravity is None
-    return massless and plan.solving.scales_with_modulus
+    """Return True if forces may be scaled with the modulus; not with a tolerance in newtons."""
+    massless = each.effects.inertia is None and each.effects.gravity is None
+    tolerance = plan.solving.tolerance
+    return massless and (tolerance is None or not tolerance.strip().endswith("N"))

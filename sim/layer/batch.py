@@ -348,8 +348,11 @@ class LayerBatch:
             for index in np.flatnonzero(halving):
                 goal[index], duration[index], _ = self._halves[int(active[index])][-1]
             good = self._step(active, goal, duration)
-            for index in np.flatnonzero(good & halving):
-                self._half_done(int(active[index]))
+            for row in map(int, active[good & halving]):
+                self._halves[row].pop()
+                if not self._halves[row]:
+                    del self._halves[row]
+                    self._tried.pop(row, None)
             for index in np.flatnonzero(~good):
                 self._halve(int(active[index]), goal[index], float(duration[index]))
             waits = np.isin(active, list(self._halves) + list(self._failed))
@@ -376,12 +379,6 @@ class LayerBatch:
             return
         middle = (self.tip[row] + goal) / 2
         steps += [(end, duration / 2, halved + 1) for end in (goal, middle)]
-
-    def _half_done(self, row: int) -> None:
-        self._halves[row].pop()
-        if not self._halves[row]:
-            del self._halves[row]
-            self._tried.pop(row, None)
 
     def _next_goals(
         self, rows: Whole, target: Array, start: Array, left: Array

@@ -187,13 +187,9 @@ class SimulatedSensor:
                 f"motion: {motion.depth_max * 1e3:.4g} mm deep into {self.name}; allowed: up to "
                 f"{self.depth_max * 1e3:.4g} mm"
             )
-        return Scene(self._felt(indenter), motion, body=self.body, effects=self.effects)
-
-    def _felt(self, indenter: Indenter) -> Indenter:
-        """Return the indenter with edges rounded by the film; one without edges is unchanged."""
-        if not 0 < indenter.edge_radius < self.film:
-            return indenter
-        return replace(indenter, edge_radius=min(self.film, indenter.edge_radius_max))
+        if 0 < indenter.edge_radius < self.film:  # the film rounds edges
+            indenter = replace(indenter, edge_radius=min(self.film, indenter.edge_radius_max))
+        return Scene(indenter, motion, body=self.body, effects=self.effects)
 
     def placed(self, indenter: Indenter, motion: Motion, *, seed: int) -> Scene:
         """Return the scene of a motion with mount and grip drawn at random from `variation`.

@@ -40,9 +40,7 @@ class LiveMarkers:
         pattern = signal.drawn()[0]
         self._rings = _ring(pattern)
         self._pins = signal.pins
-        about = self._rings
-        if signal.pins is not None:
-            about = _spread(signal.pins) * NODES
+        about = self._rings if signal.pins is None else _spread(signal.pins) * NODES
         self.points: Array = (pattern.centres[:, None] + about).reshape(-1, 2)
         """Points of the top whose displacement determines the outlines (n, 2) [m]."""
         at = pattern.centres if signal.pins is not None else self.points

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -183,8 +182,13 @@ def fitted(
             TrackModel(design, tracks, grid=pixels, workers=workers)
             for pixels in (grid, round(COARSER * grid))
         )
-        correct = functools.partial(_correct, model, rougher, device) if tier == "fem" else None
-        return _fit(design, tracks, model, rougher, correct, progress)
+
+        def correct(values: Mapping[str, float]) -> None:
+            for each, finer in ((model, 1.0), (rougher, COARSER)):
+                each.correct(values, finer, device)
+
+        by_fem = correct if tier == "fem" else None
+        return _fit(design, tracks, model, rougher, by_fem, progress)
 
 
 def _fit(
@@ -276,14 +280,6 @@ def _other_thicknesses(
         held = _descended(others, moved, first)
         freed = _descended(problem, held.values, second)
         yield replace(freed, rounds=held.rounds + freed.rounds)
-
-
-def _correct(
-    model: TrackModel, rougher: TrackModel, device: str, values: Mapping[str, float]
-) -> None:
-    """Correct the forces of a model, and those of a rougher one on a rougher mesh, at values."""
-    for each, finer in ((model, 1.0), (rougher, COARSER)):
-        each.correct(values, finer, device)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

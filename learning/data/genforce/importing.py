@@ -338,8 +338,7 @@ def _training(folder: _Folder) -> Iterator[PublishedSensor]:
         if not _folders(sensor):
             raise LearningError(f"{sensor}: found no folder of an indenter")
     targets = _targets(one for sensor in sensors for one in _folders(sensor))
-    for sensor in sensors:
-        yield _training_sensor(folder, images, sensor, targets)
+    yield from (_training_sensor(folder, images, sensor, targets) for sensor in sensors)
 
 
 def _training_sensor(folder: _Folder, images: Path, sensor: Path, targets: int) -> PublishedSensor:
@@ -520,8 +519,7 @@ def _raw(folder: _Folder) -> Iterator[PublishedSensor]:
     if unknown := sorted(set(turns) - set(names)):
         raise LearningError(f"turn: found {', '.join(unknown)}; allowed: {', '.join(names)}")
     targets = _targets(run for sensor in sensors for run in _runs(sensor))
-    for sensor in sensors:
-        yield _raw_sensor(folder, sensor, targets)
+    yield from (_raw_sensor(folder, sensor, targets) for sensor in sensors)
 
 
 def _raw_folders(root: Path) -> list[Path]:

@@ -19,26 +19,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         known="paper_main, paper_supplement, authors_code, ours, or a YAML file (%(default)s)",
     )
-    parser.add_argument("--base", metavar="DIR", help="SD-Turbo: unet/, vae/ (weights.base)")
-    parser.add_argument("--clip", metavar="DIR", help="CLIP ViT-B/32 (weights.clip)")
-    parser.add_argument("--vgg", metavar="FILE", help="VGG16 of torchvision (weights.vgg)")
-    parser.add_argument("--lpips", metavar="FILE", help="LPIPS' heads for VGG (weights.lpips)")
-    parser.add_argument(
-        "--marker-vae",
-        type=Path,
-        metavar="RUN",
-        help="start from this marker VAE, such as marker-vae/ in the folder of another training",
-    )
-    parser.add_argument(
-        "--from", dest="start_from", type=Path, metavar="RUN", help="start from this translator"
-    )
+    add = parser.add_argument
+    add("--base", metavar="DIR", help="SD-Turbo: unet/, vae/ (weights.base)")
+    add("--clip", metavar="DIR", help="CLIP ViT-B/32 (weights.clip)")
+    add("--vgg", metavar="FILE", help="VGG16 of torchvision (weights.vgg)")
+    add("--lpips", metavar="FILE", help="LPIPS' heads for VGG (weights.lpips)")
+    about = "start from this marker VAE, such as marker-vae/ in the folder of another training"
+    add("--marker-vae", type=Path, metavar="RUN", help=about)
+    add("--from", dest="start_from", type=Path, metavar="RUN", help="start from this translator")
     add_sensors(parser)
-    parser.add_argument(
-        "--pairing",
-        default="supplement",
-        choices=("supplement", "authors_code"),
-        help="rule for pairing frames of a press (%(default)s)",
-    )
+    about = "rule for pairing frames of a press (%(default)s)"
+    add("--pairing", default="supplement", choices=("supplement", "authors_code"), help=about)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -162,6 +162,8 @@ _ATTENTION = ("to_k", "to_q", "to_v", "to_out.0")
 _PROJECTIONS = ("proj_in", "proj_out", "ff.net.2", "ff.net.0.proj")
 UNET_TARGETS = (*_ATTENTION, *_CONVOLUTIONS, *_PROJECTIONS)
 VAE_TARGETS = (*_CONVOLUTIONS, "conv_in", *_ATTENTION)
+# Parts that are learned as they are, without adapters.
+_LEARNED = ("tokens.", "unet.conv_in.")
 # Divided by the rank, the weight of an adapter: 1 at rank 8, 2 at rank 4 (peft's default).
 ALPHA = 8
 
@@ -309,9 +311,9 @@ class MarkerToMarker(nn.Module):
         for name, parameter in self.named_parameters():
             adapted = name.startswith(("unet.", "vae.") if train_vae else "unet.")
             ours = adapted and (whole or is_adapter(name))
-            parameter.requires_grad_(ours or name.startswith(("tokens.", "unet.conv_in.")))
+            parameter.requires_grad_(ours or name.startswith(_LEARNED))
         if not whole:
-            keep_in_state(self, _is_ours)
+            keep_in_state(self, lambda name: is_adapter(name) or name.startswith(_LEARNED))
 
     def forward(
         self,
@@ -417,10 +419,6 @@ def rank_of(adapter: Mapping[str, torch.Tensor]) -> int:
     if len(ranks) != 1:
         raise LearningError(f"adapter: found ranks {sorted(ranks)}; allowed: a single rank")
     return ranks.pop()
-
-
-def _is_ours(name: str) -> bool:
-    return is_adapter(name) or name.startswith(("tokens.", "unet.conv_in."))
 
 
 # The marker VAE: SD-Turbo's autoencoder with an adapter for marker images.
