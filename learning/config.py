@@ -77,17 +77,20 @@ def require(
     least: float = -math.inf,
     above: float = -math.inf,
     most: float = math.inf,
+    below: float = math.inf,
 ) -> None:
     """Reject fields of settings outside a range. None is allowed; a tuple is checked by item."""
     low = f"above {above}" if above > least else str(least)
-    if most == math.inf:
+    if below < math.inf:
+        allowed = f"{low} to less than {below}"
+    elif most == math.inf:
         allowed = low if above > least else f"{low} or more"
     else:
         allowed = f"{low} to {most}" if max(least, above) > -math.inf else f"{most} or less"
     for name in names:
         value = getattr(settings, name)
         for each in value if isinstance(value, tuple) else (value,):
-            if each is not None and not (least <= each <= most and each > above):
+            if each is not None and not (least <= each <= most and above < each < below):
                 raise LearningError(f"{name}: found {value}; allowed: {allowed}")
 
 

@@ -5,6 +5,7 @@ each axis and of the force magnitude, and the coefficient of determination over 
 test, across presses.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,11 +26,11 @@ class ForceErrors:
 
     frames: int
     """Number of frames with a label on one axis or more."""
-    mae: tuple[float, float, float, float]
+    mae: tuple[float, ...]
     """Mean absolute error of Fx, Fy, Fz and Ft [N]; Ft of frames with all three axes."""
-    relative: tuple[float, float, float, float]
+    relative: tuple[float, ...]
     """The same divided by the standard deviation of the target's labels."""
-    r2: tuple[float, float, float]
+    r2: tuple[float, ...]
     """Coefficient of determination of Fx, Fy and Fz; NaN if labels are constant or missing."""
 
     @property
@@ -74,9 +75,16 @@ def force_errors(true: Floats, predicted: Floats, spread: Floats) -> ForceErrors
     # The relative error to constant labels is infinite, or NaN if the error is zero.
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = mae / np.asarray(spread, np.float64)
-    fx, fy, fz = fit.tolist()
     scored = int(comparable.any(axis=1).sum())
-    return ForceErrors(scored, _four(mae), _four(relative), (fx, fy, fz))
+    return ForceErrors(scored, *(tuple(each.tolist()) for each in (mae, relative, fit)))
+
+
+def by_axis(names: Iterable[str], values: Iterable[float]) -> str:
+    """Return values by the names of their axes as text, `-` for NaN."""
+    pairs = zip(names, values, strict=True)
+    return "  ".join(
+        f"{name} {value:.3f}" if value == value else f"{name} -" for name, value in pairs
+    )
 
 
 def can_be_scored(true: Floats, predicted: Floats) -> bool:
@@ -153,8 +161,3 @@ def spread_and_range(labels: Floats) -> tuple[Floats, Floats]:
         if len(finite):
             spread[index], range_[index] = finite.std(), np.ptp(finite)
     return spread, range_
-
-
-def _four(values: Floats) -> tuple[float, float, float, float]:
-    fx, fy, fz, ft = values.tolist()
-    return fx, fy, fz, ft

@@ -13,9 +13,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Figure
 
 # Colours of the style by name, for curves that have the same colour in several charts.
-BLUE, RED, GREEN, PURPLE, SKY, ORANGE = (
-    *("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00"),
-)
+BLUE, RED, GREEN = "#0072b2", "#d55e00", "#009e73"
+PURPLE, SKY, ORANGE = "#cc79a7", "#56b4e9", "#e69f00"
 INK, SOFT, BAND = "#262a33", "#787f8c", "#e2e5eb"
 # Fx, Fy and Fz on paper and on a dark ground, also on pages (`--fx` in their style): 25 apart and
 # more in CIELAB, as protanopes, deuteranopes and tritanopes see them too (Machado et al. 2009).

@@ -48,7 +48,7 @@ class Finding:
     """One fault or note, and its location."""
 
     code: str
-    """One of `CODES` or `NOTES`; for an archive, one of `archive.check.CODES`."""
+    """One of `CODES` or `NOTES`; an archive has its own (docs/reference/data-format.md)."""
     where: str
     """Path inside the session."""
     message: str

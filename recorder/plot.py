@@ -63,10 +63,7 @@ def sheet(
 ) -> Image.Image:
     """Return rows of title, note and pictures; a row without a title follows the one above.
 
-    Args:
-        rows: The rows.
-        columns: Pictures in a row, at most.
-        size: Width and height of a picture [px].
+    A row has at most `columns` pictures, each of width and height `size` [px].
     """
     heights = [_HEAD * bool(title) + size[1] + _CAPTION + _GAP for title, _, _ in rows]
     page = Image.new("RGB", (_GAP + columns * (size[0] + _GAP), _GAP + sum(heights)), PAPER)

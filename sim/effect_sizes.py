@@ -8,7 +8,7 @@ this scene differ without a reason, as they do where contact at edges depends on
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -154,13 +154,20 @@ def variants(scene: Scene) -> dict[str, Scene]:
     Effects that have none are left out.
     """
     effects = {name: getattr(scene.effects, name) for name in scene.effects.key}
-    weak = {name: one.weakened(0.0) for name, one in effects.items()}
-    changed = {"all": {}, "hardly": {name: one.weakened(HARDLY) for name, one in effects.items()}}
+    weak = {name: weakened(one, 0.0) for name, one in effects.items()}
+    changed = {"all": {}, "hardly": {name: weakened(one, HARDLY) for name, one in effects.items()}}
     changed |= {name: {name: weak[name]} for name in effects if effects[name] != weak[name]}
     return {
         name: replace(scene, effects=replace(scene.effects, **some))
         for name, some in changed.items()
     }
+
+
+def weakened(effect: Any, fraction: float) -> Any:
+    """Return an effect whose strength, its first field, is scaled; at 0 it vanishes."""
+    name = fields(effect)[0].name
+    strength = fraction * np.array(getattr(effect, name))
+    return replace(effect, **{name: strength.tolist()})
 
 
 def _brief(motion: Motion) -> Motion:

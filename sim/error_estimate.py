@@ -15,13 +15,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.indenters import Indenter
 from sim.result import WEAK, Outcome, Result, force_scale
 from sim.scene import Scene
 
-Array = NDArray[np.float64]
 Normal = tuple[float, float]
 
 # Error of the force at fineness 1 (12 elements across the contact): it falls with the square of the
@@ -273,28 +272,27 @@ def further_errors(result: Result) -> Array:
 
 
 def _of_layer(result: Result) -> dict[str, Any]:
-    body = result.scene.body
+    body, side = result.scene.body, side_distance(result)
+    why = ""
+    if body.rim < RIM_UNEVEN * body.thickness:
+        why = (
+            f"the dome is {body.rim * 1e3:.3g} mm high at its rim, and 'layer' assumes the same "
+            "thickness there as at its apex (allowed: 'fem')"
+        )
+    elif side is not None and side < RIM * body.thickness:
+        why = (
+            f"the contact is {side * 1e3:.3g} mm from a side of the body, of which 'layer' knows "
+            "nothing (allowed: 'fem')"
+        )
+    if why:
+        return {"status": "none", "why": why}
     deep = np.maximum(-np.array(result.scene.motion.tip)[:, 2], 0.0) / body.thickness
     fraction = LAYER_LEAST + LAYER_PER_DEPTH * deep
     width = np.maximum(result.quality.contact_width, 1e-12)
     pixels = LAYER_PER_PIXEL * pixel_of(result) / width
     fraction = fraction + np.where(result.force.any(axis=1), pixels, 0.0)
     fraction = np.maximum(_weighed(result, fraction), _missed(result))
-    error = error_entry(result, "estimated", fraction, "depth over thickness, and pixels")
-    if body.rim < RIM_UNEVEN * body.thickness:
-        return {
-            "status": "none",
-            "why": f"the dome is {body.rim * 1e3:.3g} mm high at its rim, and 'layer' assumes the "
-            "same thickness there as at its apex (allowed: 'fem')",
-        }
-    side = side_distance(result)
-    if side is not None and side < RIM * body.thickness:
-        return {
-            "status": "none",
-            "why": f"the contact is {side * 1e3:.3g} mm from a side of the body, of which "
-            "'layer' knows nothing (allowed: 'fem')",
-        }
-    return error
+    return error_entry(result, "estimated", fraction, "depth over thickness, and pixels")
 
 
 def _missed(result: Result) -> Array:

@@ -96,6 +96,12 @@ def is_finite(value: Any) -> bool:
     return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
 
 
+def check_choice(name: str, value: Any, allowed: tuple[Any, ...]) -> None:
+    """Reject a value that is none of the allowed ones."""
+    if value not in allowed:
+        raise SceneError(f"{name}: {value!r}; allowed: {', '.join(map(repr, allowed))}")
+
+
 def check_kind(name: str, value: Any, kind: Any, allowed: str, *, optional: bool = False) -> None:
     """Reject a value that is not of `kind`; with `optional`, None is accepted."""
     if not (isinstance(value, kind) or (optional and value is None)):

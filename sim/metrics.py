@@ -58,14 +58,6 @@ def marker_places(body: Body) -> tuple[Array, Array]:
     return fraction * body.size_x, fraction * body.size_y
 
 
-def pixels_of(points: Array) -> Array:
-    """Return pixels (..., 2) of points (..., 3) [m] in the paper's camera, y up from its centre."""
-    # Drawing markers imports image libraries, which a machine that only measures may not have.
-    from sim.markers.camera import Camera
-
-    return Camera.paper().on_film(points)
-
-
 def force_errors(outcome: Outcome, reference: Outcome) -> tuple[Array, Array]:
     """Return `Errors.force` (F, 3) [N] and `Errors.force_share` (F, 3)."""
     force = np.abs(outcome.force - reference.force)
@@ -80,20 +72,20 @@ def marker_errors(outcome: Outcome, reference: Outcome, body: Body) -> Array:
 
 
 def marker_pixels(outcome: Outcome, body: Body) -> Array:
-    """Return the pixels (F, 14, 14, 2) of the markers' images in each frame."""
+    """Return pixels (F, 14, 14, 2) of the markers in each frame, y up from the image's middle."""
+    # Drawing markers imports image libraries, which a machine that only measures may not have.
+    from sim.markers.camera import Camera
+
     x, y = marker_places(body)
     rest = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
     height = body.heights(x, y)
     undeformed = np.concatenate([rest, height[..., None]], axis=-1)
     inner_x = np.clip(x, outcome.surface_x[0], outcome.surface_x[-1])
     inner_y = np.clip(y, outcome.surface_y[0], outcome.surface_y[-1])
-    frames = range(len(outcome.force))
-    return np.stack(
-        [
-            pixels_of(undeformed + displacement_at(outcome, frame, inner_x, inner_y))
-            for frame in frames
-        ]
-    )
+    moved = [
+        displacement_at(outcome, frame, inner_x, inner_y) for frame in range(len(outcome.force))
+    ]
+    return Camera.paper().on_film(undeformed + np.stack(moved))
 
 
 def displacement_at(outcome: Outcome, frame: int, x: Array, y: Array) -> Array:

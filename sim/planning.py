@@ -2,9 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import get_args
 
 from sim.device import check_device
-from sim.errors import SceneError, check_kind, check_range
+from sim.errors import check_choice, check_kind, check_range
 from sim.fem import Fem
 from sim.layer import Layer
 from sim.metrics import tolerance_of
@@ -116,8 +117,7 @@ def plan(
     """
     check_kind("scene", scene, Scene, "a Scene")
     tolerance_of(tolerance)
-    if only not in (None, "layer", "fem"):
-        raise SceneError(f"only: {only!r}; allowed: None, 'layer', 'fem'")
+    check_choice("only", only, (None, *get_args(ContactTier)))
     if seconds is not None:
         check_range("plan", "seconds", seconds, 0.0, 1e6, unit="s", open_low=True)
     if device != "cpu":

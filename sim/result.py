@@ -2,7 +2,9 @@
 
 import dataclasses
 import math
+import tempfile
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import numpy as np
@@ -58,11 +60,15 @@ class Quality:
     """Number of steps taken for the frame, including failed ones."""
 
 
-def no_quality(frames: int) -> dict[str, Array]:
-    """Return NaN for each error measure of every frame, by name; without the counts."""
-    counts = ("newton", "cg", "steps")
-    measures = (one.name for one in dataclasses.fields(Quality) if one.name not in counts)
-    return {name: np.full(frames, np.nan) for name in measures}
+COUNTS = ("newton", "cg", "steps")
+
+
+def no_quality(frames: int) -> dict[str, NDArray[Any]]:
+    """Return NaN for each error measure of every frame, and 0 for each count, by name."""
+    quality: dict[str, NDArray[Any]] = {
+        one.name: np.full(frames, np.nan) for one in dataclasses.fields(Quality)
+    }
+    return quality | {name: np.zeros(frames, np.int64) for name in COUNTS}
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +129,7 @@ def with_beginning(whole: Result, beginning: Result) -> Result:
 
     def first(name: str) -> Any:
         own, other = getattr(whole.quality, name), getattr(beginning.quality, name)
-        spent = own[:count] if name in ("newton", "cg", "steps") else 0
+        spent = own[:count] if name in COUNTS else 0
         return np.concatenate([other + spent, own[count:]])
 
     message = beginning.record["warnings"]
@@ -218,6 +224,16 @@ SIDES = {
     "force is less accurate than the estimate for whole elements (allowed: a contact within the "
     "rim, or a tolerance)",
 }
+
+
+def dumped(**state: Any) -> Path | None:
+    """Store the last state before a failure in the folder of temporary files; None if it cannot."""
+    try:
+        path = Path(tempfile.mkdtemp(prefix="diverged-")) / "state.npz"
+        np.savez_compressed(path, **state)
+    except OSError:
+        return None
+    return path
 
 
 # Conversion of scenes and other values to and from JSON, without loss.

@@ -4,13 +4,21 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any, Literal, Self, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.arrays import Array
-from sim.errors import SceneError, check_kind, check_range, is_finite, make_plain, plain
+from sim.errors import (
+    SceneError,
+    check_choice,
+    check_kind,
+    check_range,
+    is_finite,
+    make_plain,
+    plain,
+)
 from sim.indenters import Indenter
 from trajectories import Plan, Target
 
@@ -61,9 +69,7 @@ class Body:
         check_range("body", "modulus", self.modulus, 1e2, 1e9, unit="Pa")
         check_range("body", "poisson", self.poisson, 0.0, 0.49995)
         check_range("body", "density", self.density, 1.0, 1e5, unit="kg/m^3")
-        if self.footprint not in get_args(Footprint):
-            allowed = ", ".join(map(repr, get_args(Footprint)))
-            raise SceneError(f"body.footprint: {self.footprint!r}; allowed: {allowed}")
+        check_choice("body.footprint", self.footprint, get_args(Footprint))
         if self.dome_radius is not None:
             check_range("body", "dome_radius", self.dome_radius, self._farthest, 1e3, unit="m")
             if self.rim < RIM_LEAST * self.thickness:
@@ -355,10 +361,6 @@ class Friction:
         make_plain(self)
         check_range("friction", "coefficient", self.coefficient, 0.0, 10.0)
 
-    def weakened(self, fraction: float) -> Self:
-        """Return the effect with its coefficient scaled by `fraction`; at 0 it vanishes."""
-        return replace(self, coefficient=fraction * self.coefficient)
-
 
 @dataclass(frozen=True, slots=True)
 class Viscosity:
@@ -391,12 +393,7 @@ class Viscosity:
         for index, (ratio, time) in enumerate(zip(self.ratios, self.times, strict=True)):
             check_range("viscosity", f"ratios[{index}]", ratio, 0.0, 100.0)
             check_range("viscosity", f"times[{index}]", time, 1e-6, 1e6, unit="s")
-        if self.relaxes not in ("all", "shear"):
-            raise SceneError(f"viscosity.relaxes: {self.relaxes!r}; allowed: 'all', 'shear'")
-
-    def weakened(self, fraction: float) -> Self:
-        """Return the effect with its ratios scaled by `fraction`; at 0 it vanishes."""
-        return replace(self, ratios=tuple(fraction * ratio for ratio in self.ratios))
+        check_choice("viscosity.relaxes", self.relaxes, ("all", "shear"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -413,10 +410,6 @@ class Inertia:
     def __post_init__(self) -> None:
         make_plain(self)
         check_range("inertia", "scale", self.scale, 0.0, 1e6)
-
-    def weakened(self, fraction: float) -> Self:
-        """Return the effect with its mass scaled by `fraction`; at 0 it vanishes."""
-        return replace(self, scale=fraction * self.scale)
 
 
 @dataclass(frozen=True, slots=True)
@@ -436,11 +429,6 @@ class Gravity:
             raise SceneError(f"gravity.acceleration: {self.acceleration!r}; allowed: 3 numbers")
         for index, value in enumerate(self.acceleration):
             check_range("gravity", f"acceleration[{index}]", value, -1e3, 1e3, unit="m/s^2")
-
-    def weakened(self, fraction: float) -> Self:
-        """Return the effect with its acceleration scaled by `fraction`; at 0 it vanishes."""
-        x, y, z = self.acceleration
-        return replace(self, acceleration=(fraction * x, fraction * y, fraction * z))
 
 
 KINDS = {"friction": Friction, "viscosity": Viscosity, "inertia": Inertia, "gravity": Gravity}

@@ -24,8 +24,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.device import kind_of
 from sim.error_estimate import (
     LAYER_LEAST,
@@ -54,7 +54,6 @@ from sim.tiers import simulate
 if TYPE_CHECKING:
     from sim.fem.in_time import TimeSteps
 
-Array = NDArray[np.float64]
 Progress = Callable[[float], None]
 
 # Power of the elements' size with which the error falls: linear elements, smooth pressure.
@@ -127,16 +126,8 @@ def simulate_within(
     single mesh, `measured` for two. `record["plan"]` has the choice (`chosen`, `why`, `notes`),
     whether the tolerance was reached (`reached`), the earlier attempts (`tried`), the total time
     (`seconds`), and that by which `sim.replay` computes the same result again: the `settings` of
-    its meshes, and the index of the one by which its error was measured (`companion`).
-
-    Args:
-        scene: Scene to simulate.
-        tolerance: Such as "2 %", "0.05 N", "0.5 px"; see `sim.metrics.Tolerance`.
-        seconds: Time after which the best result so far is returned; None: no limit.
-        tier: `layer` or `fem`: only that one is tried. None: `layer` first, if its estimate was
-            checked on such scenes, then `fem`.
-        device: Device on which meshes are solved; `layer` runs on the CPU.
-        progress: Called with the fraction done, 0 to 1, of `layer` and each mesh in turn.
+    its meshes, and the index of the one by which its error was measured (`companion`). Arguments
+    are those of `sim.plan` (`tier` is its `only`) and of `Plan.run`.
 
     Raises:
         SceneError: The tolerance is below 0.1 %, or `tier` is `layer` and its error is larger.

@@ -101,7 +101,7 @@ def are_weights(paths: Sequence[Path]) -> bool:
 
 def import_weights(file: Path, options: argparse.Namespace) -> int:
     """Write the folder of a model with the authors' weights, without running any code in them."""
-    from learning.translation.diffusion.weights import read_plain
+    from learning.training.checkpoint import read_plain
 
     content = read_plain(file)
     if isinstance(content, dict) and "state_dict_vae" in content:

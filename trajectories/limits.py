@@ -82,23 +82,19 @@ def dry_run(
             unrecorded += move_duration(math.dist(points[-1], path[0].start), speed, acceleration)
         for move in path:
             recorded += move_duration(math.dist(move.start, move.end), speed, acceleration)
-            points += [move.start, move.end]
-            moves += 1
+        moves += len(path)
         ends = [place for move in path for place in (move.start, move.end)]
+        points += ends
         depths.append(max(dome_height(dome_radius, x, y) - z for x, y, z in ends))
     low = tuple(min(point[axis] for point in points) for axis in range(3))
     high = tuple(max(point[axis] for point in points) for axis in range(3))
     depth = max(depths)
     duration = recorded + unrecorded
-    checks = (
-        (low[0] < limits.box_x[0] or high[0] > limits.box_x[1], "x", low[0], high[0], limits.box_x),
-        (low[1] < limits.box_y[0] or high[1] > limits.box_y[1], "y", low[1], high[1], limits.box_y),
-    )
     broken = [
         f"{axis}: {1e3 * a:.2f} to {1e3 * b:.2f} mm; "
-        f"allowed: {1e3 * c[0]:.2f} to {1e3 * c[1]:.2f} mm"
-        for bad, axis, a, b, c in checks
-        if bad
+        f"allowed: {1e3 * box[0]:.2f} to {1e3 * box[1]:.2f} mm"
+        for axis, a, b, box in zip("xy", low, high, (limits.box_x, limits.box_y), strict=False)
+        if a < box[0] or b > box[1]
     ]
     if depth > limits.depth_max + 1e-9:
         broken.append(f"depth: {1e3 * depth:.3f} mm; allowed: {1e3 * limits.depth_max:.3f} mm")

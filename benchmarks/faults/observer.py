@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.acquire.stream_process import COUNTERS
-from rig.bench.bench import KINDS
+from rig.bench.bench import SPECS
 from rig.core import emulation
 from rig.core.clock import SystemClock
 from rig.core.config import build, read_yaml
@@ -66,7 +66,7 @@ class Observer:
                 AwaitedRecord(folder / f"{name}.latest", latest_dtype(name, (16, 3))),
                 AwaitedRecord(folder / f"{name}.counters", COUNTERS),
             )
-            for name in KINDS
+            for name in SPECS
         }
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="observer", daemon=True)

@@ -21,7 +21,7 @@ import numpy as np
 from rig.acquire.control import Control, Interlocks
 from rig.acquire.plan_runner import LiveLine, PlanRunner, rise_clear, zero_stand_ins
 from rig.acquire.signal_level import grey
-from rig.acquire.stream_process import COUNTERS, StreamJob, _StreamLoop
+from rig.acquire.stream_process import COUNTERS, _StreamLoop
 from rig.acquire.streams import StreamHandle, Streams, check_clear
 from rig.bench.bench import Bench
 from rig.bench.guards import guard_limits, guards_of
@@ -230,7 +230,7 @@ class _Stream(StreamHandle):
         self._signal = SharedLatest.create(folder / f"{name}.signal", SIGNAL_LATEST, _SLOTS)
         driver: Any = SimpleNamespace(dropped=0, rejected={})
         pipe: Any = SimpleNamespace(send=lambda message: None)
-        self._loop = _StreamLoop(StreamJob(name, bench, folder), pipe, driver, clock)
+        self._loop = _StreamLoop(name, bench, folder, pipe, driver, clock)
         self._samples: list[dict[str, Any]] = []
 
     def take(self, sample: dict[str, Any]) -> None:

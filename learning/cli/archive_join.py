@@ -6,7 +6,7 @@ import argparse
 import math
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -104,3 +104,11 @@ def chosen_sensors(text: str) -> Iterator[SensorSelection]:
                 f"{archive.name}: has no sensor {name!r}; allowed: {', '.join(archive)}"
             )
         yield SensorSelection(archive, name, (named or {}).get(name, name))
+
+
+def only_sensor(option: str, sensors: Sequence[SensorSelection]) -> SensorSelection:
+    """Return the only one of the sensors that an option names; reject others."""
+    if len(sensors) != 1:
+        listed = ", ".join(each.sensor for each in sensors) or "none"
+        raise LearningError(f"{option}: found sensors {listed}; allowed: one, ARCHIVE:SENSOR")
+    return sensors[0]

@@ -19,15 +19,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--model MODEL --out holds.csv` runs; each hold of contact is one weight. Or name frames "
         "of an archive, in which a weight rests: --archive with --rows."
     )
-    parser.add_argument("model", type=Path, metavar="MODEL", help="RUN/model of `tactile transfer`")
-    parser.add_argument(
+    add = parser.add_argument
+    add("model", type=Path, metavar="MODEL", help="RUN/model of `tactile transfer`")
+    add(
         "--weights",
         type=weights,
         required=True,
         metavar="50g,100g,...",
         help="masses, in the order in which they were laid on",
     )
-    parser.add_argument(
+    add(
         "--carrier",
         type=weights,
         default=[0.0],
@@ -38,12 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--holds", type=Path, metavar="CSV", help="written by live --out")
     source.add_argument("--archive", metavar="ARCHIVE:SENSOR", help="X.markers.zarr")
-    parser.add_argument(
-        "--rows", metavar="N,...", help="rows of the archive's table, one for each weight"
-    )
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="MODEL", help="folder of the scaled model"
-    )
+    add("--rows", metavar="N,...", help="rows of the archive's table, one for each weight")
+    add("--out", type=Path, required=True, metavar="MODEL", help="folder of the scaled model")
 
 
 def weights(text: str) -> list[float]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from learning.cli.archive_join import chosen_sensors
+from learning.cli.archive_join import chosen_sensors, only_sensor
 from learning.command import add_settings
 from learning.errors import LearningError
 from recorder.command_line.options import add_device, add_value, names
@@ -87,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
         return _of_model(inputs, options)
     if inputs.translated or inputs.results is not None:
         return _of_results(inputs, options)
-    return _left_out(_only(inputs.sensors), options)
+    return _left_out(only_sensor("ARCHIVE", inputs.sensors), options)
 
 
 def _sorted(texts: Sequence[str]) -> Inputs:
@@ -113,20 +113,13 @@ def _sorted(texts: Sequence[str]) -> Inputs:
     return inputs
 
 
-def _only(sensors: Sequence[SensorSelection]) -> SensorSelection:
-    if len(sensors) != 1:
-        listed = ", ".join(each.sensor for each in sensors) or "none"
-        raise LearningError(f"ARCHIVE: found sensors {listed}; allowed: one, ARCHIVE:SENSOR")
-    return sensors[0]
-
-
 def _of_model(inputs: Inputs, options: argparse.Namespace) -> int:
     """Compare the forces of a model with labels."""
     from learning.cli.predict import predicted
     from learning.force.intervals import read_intervals
     from learning.transfer.score import new_frames, score_of
 
-    model, sensor = str(inputs.model), _only(inputs.sensors)
+    model, sensor = str(inputs.model), only_sensor("ARCHIVE", inputs.sensors)
     if read_intervals(Path(model)) is not None:
         lines = [*score_of(new_frames(Path(model), sensor)).lines()]
     else:

@@ -23,24 +23,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Finds the markers in pictures or taxels of sessions, one session for each "
         "indenter on each sensor. Repeat the command with the same sessions to continue."
     )
-    parser.add_argument("sessions", nargs="+", type=Path, metavar="SESSION", help="NAME.zarr")
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="PATH", help="archive to write, X.markers.zarr"
-    )
-    parser.add_argument(
-        "--preset", metavar="NAME", help="preset of marker detection: a name or a YAML file"
-    )
-    parser.add_argument("--sensor", metavar="NAME", help="name of the sensor in the archive")
-    parser.add_argument("--mm-per-px", type=float, help="size of a pixel [mm] (the preset's)")
-    parser.add_argument("--sheet", type=Path, metavar="PNG", help="draw a contact sheet as well")
-    parser.add_argument(
+    add = parser.add_argument
+    add("sessions", nargs="+", type=Path, metavar="SESSION", help="NAME.zarr")
+    add("--out", type=Path, required=True, metavar="PATH", help="archive to write, X.markers.zarr")
+    add("--preset", metavar="NAME", help="preset of marker detection: a name or a YAML file")
+    add("--sensor", metavar="NAME", help="name of the sensor in the archive")
+    add("--mm-per-px", type=float, help="size of a pixel [mm] (the preset's)")
+    add("--sheet", type=Path, metavar="PNG", help="draw a contact sheet as well")
+    add(
         "--irregular",
         action="store_true",
         help="the markers have no regular pattern; without it such references are rejected as "
         "shading",
     )
-    parser.add_argument("--sam-encoder", type=Path, metavar="ONNX", help="EfficientSAM encoder")
-    parser.add_argument("--sam-decoder", type=Path, metavar="ONNX", help="and its decoder")
+    add("--sam-encoder", type=Path, metavar="ONNX", help="EfficientSAM encoder")
+    add("--sam-decoder", type=Path, metavar="ONNX", help="and its decoder")
     add_unseen(parser)
 
 

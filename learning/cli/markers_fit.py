@@ -14,14 +14,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Finds out whether the markers in pictures without contact are dark or bright, how large "
         "and how far apart, and writes a preset for `markers --preset FILE`."
     )
-    parser.add_argument(
+    add = parser.add_argument
+    add(
         "images", nargs="+", type=Path, metavar="IMAGE", help="pictures without contact, or folders"
     )
-    parser.add_argument("--out", type=Path, metavar="YAML", help="preset to write")
-    parser.add_argument(
-        "--pitch-mm", type=float, metavar="MM", help="distance between neighbouring markers [mm]"
-    )
-    parser.add_argument(
+    add("--out", type=Path, metavar="YAML", help="preset to write")
+    add("--pitch-mm", type=float, metavar="MM", help="distance between neighbouring markers [mm]")
+    add(
         "--pressed",
         nargs="+",
         type=Path,
@@ -29,9 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="IMAGE",
         help="pictures with contact, in which the same markers are looked for",
     )
-    parser.add_argument(
-        "--sheet", type=Path, metavar="PNG", help="draw all pictures, with outlines"
-    )
+    add("--sheet", type=Path, metavar="PNG", help="draw all pictures, with outlines")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 
 from learning.errors import LearningError
 from learning.evaluation.predictions import Predictions
-from learning.metrics import axis_means, force_errors
+from learning.metrics import axis_means, by_axis, force_errors
 from recorder.command_line.options import add_device, names
 from recorder.progress import ItemProgress
 
@@ -31,20 +31,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "with the labels [N], if it has any, for `evaluate`. A model of `transfer` has intervals, "
         "which are written too."
     )
-    parser.add_argument(
+    add = parser.add_argument
+    add(
         "model",
         metavar="MODEL",
         help="folder of a trained force model, its web address, demo, or the name of one that an "
         "installed package offers",
     )
-    parser.add_argument(
-        "archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr, with labels or without"
-    )
-    parser.add_argument(
-        "--sensor", metavar="NAME", help="target sensor (that of the model, or the only one)"
-    )
-    parser.add_argument("--split", type=Path, metavar="JSON", help="roles of presses (the model's)")
-    parser.add_argument(
+    add("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr, with labels or without")
+    add("--sensor", metavar="NAME", help="target sensor (that of the model, or the only one)")
+    add("--split", type=Path, metavar="JSON", help="roles of presses (the model's)")
+    add(
         "--role",
         type=names,
         default=ROLES,
@@ -52,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"which presses of the split ({ROLES})",
     )
     add_device(parser)
-    parser.add_argument("--out", type=Path, required=True, metavar="NPZ", help="file to write")
+    add("--out", type=Path, required=True, metavar="NPZ", help="file to write")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -137,30 +134,24 @@ def _accuracy(predictions: Predictions) -> str:
         )
         return f"no label to compare with; predicted [N] {ranges}"
     errors = force_errors(predictions.true, predictions.predicted, predictions.label_std)
-    mae = "  ".join(
-        f"{name} {value:.3f}" if np.isfinite(value) else f"{name} -"
-        for name, value in zip("xyzt", errors.mae, strict=True)
-    )
     labelled = (
         f", {errors.frames:,} of them with a label" if errors.frames < len(predictions) else ""
     )
+    mae = by_axis("xyzt", errors.mae)
     return f"MAE [N] {mae}, R2{errors.of_axes} {errors.r2_mean:.3f}{labelled}"
 
 
 def _covered(predictions: Predictions) -> str:
     """Return the mean half-widths of the intervals, and the share of labels within them."""
-    width = axis_means(0.5 * (predictions.high - predictions.low))
+    true, low, high = predictions.true, predictions.low, predictions.high
+    width = axis_means(0.5 * (high - low))
+    inside, known = (low <= true) & (true <= high), np.isfinite(true) & np.isfinite(low)
     shares = []
     for column, axis in enumerate(AXES):
-        labelled = np.isfinite(predictions.true[:, column]) & np.isfinite(
-            predictions.low[:, column]
-        )
+        labelled = known[:, column]
         if np.isfinite(width[column]):
             text = f"{axis} +-{width[column]:.3f} N"
             if labelled.any():
-                inside = (predictions.low <= predictions.true) & (
-                    predictions.true <= predictions.high
-                )
                 text += f" covers {100 * inside[labelled, column].mean():.1f} %"
             shares.append(text)
     return f"90 % intervals, in the mean: {', '.join(shares)}"

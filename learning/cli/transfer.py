@@ -4,7 +4,7 @@ import argparse
 import math
 from pathlib import Path
 
-from learning.cli.archive_join import add_tolerances, chosen_sensors, tolerances_of
+from learning.cli.archive_join import add_tolerances, chosen_sensors, only_sensor, tolerances_of
 from learning.command import add_settings
 from learning.errors import LearningError
 from recorder.command_line.options import add_device, names, next_command, positive
@@ -96,16 +96,13 @@ def run(options: argparse.Namespace) -> int:
 
     if options.scale_within is not None and not 1 < options.scale_within < math.inf:
         raise LearningError(f"--scale-within: found {options.scale_within}; allowed: above 1")
-    sensors = []
-    for name in ("source", "target"):
-        chosen = list(chosen_sensors(getattr(options, name)))
-        if len(chosen) != 1:
-            listed = ", ".join(each.sensor for each in chosen)
-            raise LearningError(f"--{name}: found sensors {listed}; allowed: one, ARCHIVE:SENSOR")
-        sensors.append(chosen[0])
+    source, target = (
+        only_sensor(f"--{name}", [*chosen_sensors(getattr(options, name))])
+        for name in ("source", "target")
+    )
     request = TransferRequest(
-        source=sensors[0],
-        target=sensors[1],
+        source=source,
+        target=target,
         out=options.out,
         settings=read_settings(ExperimentSettings, PRESETS, options.preset, options.set),
         source_model=options.source_model,

@@ -24,31 +24,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "and labels of A, references and scale of B. Repeat the command with the same options to "
         "continue."
     )
-    parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
-    parser.add_argument(
-        "--source", type=names, metavar="A,...", help="sensors whose frames are translated"
-    )
-    parser.add_argument(
-        "--target", type=names, metavar="B,...", help="sensors that they are translated to"
-    )
-    parser.add_argument("--all", action="store_true", help="every sensor to every other")
-    parser.add_argument(
+    add = parser.add_argument
+    add("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
+    add("--source", type=names, metavar="A,...", help="sensors whose frames are translated")
+    add("--target", type=names, metavar="B,...", help="sensors that they are translated to")
+    add("--all", action="store_true", help="every sensor to every other")
+    add(
         "--model",
         default="flow",
         metavar="NAME|FOLDER",
         help="flow, which needs no training, one of an installed package, or the folder of a "
         "training run (%(default)s)",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="PATH", help="Y.markers.zarr")
-    parser.add_argument("--split", type=Path, metavar="JSON", help="a split, for --role")
-    parser.add_argument(
+    add("--out", type=Path, required=True, metavar="PATH", help="Y.markers.zarr")
+    add("--split", type=Path, metavar="JSON", help="a split, for --role")
+    add(
         "--role",
         type=names,
         metavar="NAME,...",
         help="only these parts of the split, e.g. new_press",
     )
     add_device(parser)
-    parser.add_argument("--sheet", type=Path, metavar="PNG", help="draw a contact sheet as well")
+    add("--sheet", type=Path, metavar="PNG", help="draw a contact sheet as well")
 
 
 def run(options: argparse.Namespace) -> int:

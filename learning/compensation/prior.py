@@ -257,16 +257,10 @@ def compensate(
 ) -> tuple[Floats, int]:
     """Return the source's labels compensated for the target, and the number that were clamped.
 
-    All axes, torques included, are scaled by the same factor (authors' code).
-
-    Args:
-        wrench: Labels of the source (n, 3) or (n, 6) [N, N m]; NaN is no label and remains.
-        depth: Indentation of the source (n,) [m].
-        phase: Codes of phases (n,); -1 only where nothing is compensated.
-        source: Prior of the source.
-        target: Prior of the target.
-        d0: Fraction of the source's depth range below which labels are unchanged, 0 to 1.
-        lam: Weight of the correction, 0 to 1.
+    Labels are (n, 3) or (n, 6) [N, N m]; NaN is no label and remains. All axes, torques included,
+    are scaled by the same factor (authors' code). Depths (n,) [m] are the source's; codes of phases
+    (n,) are -1 only where nothing is compensated. `d0` is the fraction of the source's depth range
+    below which labels are unchanged, `lam` the weight of the correction, both 0 to 1.
     """
     forces: Floats = np.asarray(wrench, np.float64)
     depth = np.asarray(depth, np.float64)

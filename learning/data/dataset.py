@@ -176,7 +176,9 @@ class TactileDataset(Dataset[Sample]):
         if path in self._open:
             self._open.move_to_end(path)
         else:
-            self._open[path] = _opened(path, self.storage_options)
+            self._open[path] = (
+                _OfArchive(path) if _is_sensor(path) else _OfSession(path, self.storage_options)
+            )
             if len(self._open) > OPEN:
                 self._open.popitem(last=False)
         return self._open[path]
@@ -215,9 +217,6 @@ def _require_room(samples: list[Sample], workers: int) -> None:
             f"{batch / 1e6:.0f} MB need {2 * workers * batch / 1e6:.0f} MB; allowed: "
             "num_workers=0, smaller batches or windows, or more room (docker run --shm-size 4g)"
         )
-
-
-# Recordings
 
 
 class _OfSession:
@@ -316,10 +315,6 @@ def _recordings_in(recordings: str | Path | Iterable[str | Path]) -> list[str]:
         # Those that cannot be read are refused when they are opened.
         paths += sorted(str(inside / row.path) for row in catalogue)
     return paths
-
-
-def _opened(path: str, storage_options: Mapping[str, Any]) -> _Recording:
-    return _OfArchive(path) if _is_sensor(path) else _OfSession(path, storage_options)
 
 
 def _is_sensor(path: str) -> bool:

@@ -206,18 +206,15 @@ def read_frames(
     frames = torch.empty(len(rows), *shape, dtype=torch.uint8, device=device)
     progress(0, len(rows))
     for first in range(0, len(rows), _AT_ONCE):
+        some = rows[first : first + _AT_ONCE]
         if form != "images":
-            read = torch.from_numpy(sensor.frames(rows[first : first + _AT_ONCE]))
-            frames[first : first + len(read)] = read
-            progress(first + len(read), len(rows))
-            continue
-        packed = sensor.packed(rows[first : first + _AT_ONCE])
-        if device.type == "cpu":
-            read = torch.from_numpy(shrink(packed))
+            read = torch.from_numpy(sensor.frames(some))
+        elif device.type == "cpu":
+            read = torch.from_numpy(shrink(sensor.packed(some)))
         else:
             # Bits are transferred and unpacked on the device: an eighth of the traffic and of the
             # CPU's work.
-            read = shrink_masks(unpack_masks(torch.from_numpy(packed).to(device)))
+            read = shrink_masks(unpack_masks(torch.from_numpy(sensor.packed(some)).to(device)))
         frames[first : first + len(read)] = read
         progress(first + len(read), len(rows))
     return frames

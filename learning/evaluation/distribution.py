@@ -7,11 +7,11 @@ versions of Inception v3, averages exclude the border and the last block takes a
 al., 2017; the port's documentation). Layers are named as in that file.
 """
 
-import hashlib
 import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,6 +21,7 @@ from torch.nn import functional
 
 from learning.data.images import unit
 from learning.errors import LearningError
+from learning.training.checkpoint import weights_hash
 
 FEATURES = 2048
 SIDE = 299
@@ -60,37 +61,29 @@ class BlockDesign:
     """`mean` or `max` of 3 x 3; `halve`: the maximum, with stride 2."""
 
 
+def _chain(name: str, *layers: tuple[Any, ...]) -> Branch:
+    """Return a branch of convolutions `name_1` and so on: width, kernel and stride of each."""
+    return tuple(ConvLayer(f"{name}_{number}", *one) for number, one in enumerate(layers, 1))
+
+
 def _fives(pooled: int) -> BlockDesign:
     return BlockDesign(
         (
             (ConvLayer("branch1x1", 64),),
-            (ConvLayer("branch5x5_1", 48), ConvLayer("branch5x5_2", 64, _FIVE)),
-            (
-                ConvLayer("branch3x3dbl_1", 64),
-                ConvLayer("branch3x3dbl_2", 96, _THREE),
-                ConvLayer("branch3x3dbl_3", 96, _THREE),
-            ),
+            _chain("branch5x5", (48,), (64, _FIVE)),
+            _chain("branch3x3dbl", (64,), (96, _THREE), (96, _THREE)),
         ),
         pooled,
     )
 
 
 def _sevens(width: int) -> BlockDesign:
+    twice = (width, _DOWN), (width, _ACROSS)
     return BlockDesign(
         (
             (ConvLayer("branch1x1", 192),),
-            (
-                ConvLayer("branch7x7_1", width),
-                ConvLayer("branch7x7_2", width, _ACROSS),
-                ConvLayer("branch7x7_3", 192, _DOWN),
-            ),
-            (
-                ConvLayer("branch7x7dbl_1", width),
-                ConvLayer("branch7x7dbl_2", width, _DOWN),
-                ConvLayer("branch7x7dbl_3", width, _ACROSS),
-                ConvLayer("branch7x7dbl_4", width, _DOWN),
-                ConvLayer("branch7x7dbl_5", 192, _ACROSS),
-            ),
+            _chain("branch7x7", (width,), (width, _ACROSS), (192, _DOWN)),
+            _chain("branch7x7dbl", (width,), *twice, (width, _DOWN), (192, _ACROSS)),
         ),
         192,
     )
@@ -103,8 +96,8 @@ def _forked(pooling: str) -> BlockDesign:
     return BlockDesign(
         (
             (ConvLayer("branch1x1", 320),),
-            (ConvLayer("branch3x3_1", 384),),
-            (ConvLayer("branch3x3dbl_1", 448), ConvLayer("branch3x3dbl_2", 384, _THREE)),
+            _chain("branch3x3", (384,)),
+            _chain("branch3x3dbl", (448,), (384, _THREE)),
         ),
         192,
         (fork("branch3x3_2"), fork("branch3x3dbl_3")),
@@ -115,24 +108,15 @@ def _forked(pooling: str) -> BlockDesign:
 _HALVE_FIRST = BlockDesign(
     (
         (ConvLayer("branch3x3", 384, _THREE, 2),),
-        (
-            ConvLayer("branch3x3dbl_1", 64),
-            ConvLayer("branch3x3dbl_2", 96, _THREE),
-            ConvLayer("branch3x3dbl_3", 96, _THREE, 2),
-        ),
+        _chain("branch3x3dbl", (64,), (96, _THREE), (96, _THREE, 2)),
     ),
     0,
     pooling="halve",
 )
 _HALVE_SECOND = BlockDesign(
     (
-        (ConvLayer("branch3x3_1", 192), ConvLayer("branch3x3_2", 320, _THREE, 2)),
-        (
-            ConvLayer("branch7x7x3_1", 192),
-            ConvLayer("branch7x7x3_2", 192, _ACROSS),
-            ConvLayer("branch7x7x3_3", 192, _DOWN),
-            ConvLayer("branch7x7x3_4", 192, _THREE, 2),
-        ),
+        _chain("branch3x3", (192,), (320, _THREE, 2)),
+        _chain("branch7x7x3", (192,), (192, _ACROSS), (192, _DOWN), (192, _THREE, 2)),
     ),
     0,
     pooling="halve",
@@ -370,8 +354,7 @@ def _marker_vae(folder: Path, device: str) -> Extractor:
 
 
 def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return f"sha256:{hashlib.file_digest(file, 'sha256').hexdigest()[:_HASHED]}"
+    return f"sha256:{weights_hash(path)[:_HASHED]}"
 
 
 # Distances between two sets of features: Frechet distance and kernel distance.
@@ -468,7 +451,8 @@ def mixing_score(one: Floats, other: Floats, neighbours: int = NEIGHBOURS) -> fl
     side of 1.
     """
     _require_samples(one, other)
-    features, which = _stacked(one, other)
+    features = np.concatenate([one, other]).astype(np.float64)
+    which = np.repeat([0, 1], [len(one), len(other)])
     if len(features) <= neighbours:
         raise LearningError(
             f"features: found {len(features)} samples; allowed: more than {neighbours} neighbours"
@@ -498,8 +482,3 @@ def embedded(features: Floats, *, seed: int) -> Floats:
     perplexity = min(PERPLEXITY, len(features) / 3)
     projection = TSNE(perplexity=perplexity, init="pca", random_state=seed)
     return np.asarray(projection.fit_transform(level), np.float64)
-
-
-def _stacked(one: Floats, other: Floats) -> tuple[Floats, NDArray[np.int64]]:
-    features = np.concatenate([one, other]).astype(np.float64)
-    return features, np.repeat(np.array([0, 1]), [len(one), len(other)])

@@ -32,18 +32,8 @@ KIND = "predictions"
 # by twins of both sensors; by the choice that fits the target's labels best; the target's own
 # labels; and these by ridge regression on a few features instead of a network.
 BASELINE = "baseline"
-METHODS = (
-    "source-only",
-    "transferred",
-    "compensated",
-    "priors",
-    SIMULATED,
-    "oracle",
-    "target",
-    BASELINE,
-)
-# Methods with translated images.
-TRANSLATED = METHODS[1:6]
+TRANSLATED = ("transferred", "compensated", "priors", SIMULATED, "oracle")
+METHODS = ("source-only", *TRANSLATED, "target", BASELINE)
 # Those that need no label of the target, in order of the knowledge of the skins that they use.
 LABEL_FREE = TRANSLATED[:4]
 
@@ -274,7 +264,7 @@ class ForceRow:
     role: str
     """Role of the frames in the split; `all`: unseen and seen indenters together."""
     errors: ForceErrors
-    label_range: tuple[float, float, float, float]
+    label_range: tuple[float, ...]
     """Range of Fx, Fy, Fz, Ft of the target's labels [N]."""
 
     @property
@@ -312,8 +302,7 @@ def force_rows(predictions: Iterable[Predictions]) -> tuple[ForceRow, ...]:
             if not can_be_scored(one.true[chosen], one.predicted[chosen]):
                 continue
             errors = force_errors(one.true[chosen], one.predicted[chosen], one.label_std)
-            low = tuple(one.label_range.tolist())
-            rows.append(ForceRow(*one.key, role, errors, (low[0], low[1], low[2], low[3])))
+            rows.append(ForceRow(*one.key, role, errors, tuple(one.label_range.tolist())))
     return tuple(rows)
 
 

@@ -52,6 +52,8 @@ from recorder.store import replace_file
 # Results of a folder, separated by kind.
 
 RESULTS = "*.npz"
+# Seed of t-SNE, and of the choice of presses to plot.
+SEED = 0
 
 
 def read_folder(folder: Path) -> tuple[list[Predictions], list[TranslationScores]]:
@@ -85,9 +87,7 @@ GAINS = (
 SEQUENCES, PRESSES = 3, 10
 
 
-def _force(
-    predictions: Sequence[Predictions], rows: Sequence[ForceRow], *, seed: int
-) -> dict[str, Any]:
+def _force(predictions: Sequence[Predictions], rows: Sequence[ForceRow]) -> dict[str, Any]:
     """Return the tables and pictures of forces; empty without predictions."""
     if not rows:
         return {}
@@ -100,7 +100,7 @@ def _force(
         ],
         "transfers": bool(_transfers(rows)),
         "pictures": [*_pictures(of_role(rows, role), role), *_own_picture(predictions, role)],
-        "sequences": list(_sequences(predictions, of_role(rows, role), role, seed)),
+        "sequences": list(_sequences(predictions, of_role(rows, role), role)),
         "every": [force_line(row) for row in rows],
     }
 
@@ -199,7 +199,7 @@ def _transfers(rows: Sequence[ForceRow]) -> list[ForceRow]:
 
 
 def _sequences(
-    predictions: Sequence[Predictions], rows: Sequence[ForceRow], role: str, seed: int
+    predictions: Sequence[Predictions], rows: Sequence[ForceRow], role: str
 ) -> Iterator[tuple[str, str]]:
     """Yield the sequences of the worst, the median and the best pair, by R2 after."""
     transfers = _transfers(rows) or list(rows)
@@ -217,7 +217,7 @@ def _sequences(
         if plotted:
             names = " to ".join(dict.fromkeys((source, target)))
             text = f"{names}: R2 {score[source, target]:.3f} at best"
-            yield _encoded(charts.sequences(plotted, PRESSES, seed)), text
+            yield _encoded(charts.sequences(plotted, PRESSES, SEED)), text
 
 
 def _held(one: Predictions, role: str) -> Any:
@@ -235,7 +235,7 @@ def _column(name: str) -> str:
 DRAWN = 4
 
 
-def _translation(scores: Sequence[TranslationScores], *, seed: int) -> dict[str, Any]:
+def _translation(scores: Sequence[TranslationScores]) -> dict[str, Any]:
     """Return the tables and the picture of translations; empty without scores."""
     if not scores:
         return {}
@@ -244,7 +244,7 @@ def _translation(scores: Sequence[TranslationScores], *, seed: int) -> dict[str,
         "paired": _paired(scores),
         "distances": list(_distances(scores)),
         "neighbours": NEIGHBOURS,
-        "embeddings": _encoded(_embeddings(drawn, seed)) if drawn else "",
+        "embeddings": _encoded(_embeddings(drawn)) if drawn else "",
         "perplexity": PERPLEXITY,
     }
 
@@ -285,12 +285,12 @@ def _mixing(one: TranslationScores, method: str) -> float:
     return mixing_score(real, one.features[method].astype(np.float64))
 
 
-def _embeddings(scores: Sequence[TranslationScores], seed: int) -> bytes:
+def _embeddings(scores: Sequence[TranslationScores]) -> bytes:
     panels, names = [], []
     for one in scores:
         for method in (SOURCE, TRANSLATED):
             real, other = one.features[FLOOR], one.features[method]
-            points = embedded(np.concatenate([real, other]).astype(np.float64), seed=seed)
+            points = embedded(np.concatenate([real, other]).astype(np.float64), seed=SEED)
             title = f"{one.source} to {one.target}, {method}: mixing {_mixing(one, method):.2f}"
             panels.append((title, points[: len(real)], points[len(real) :]))
             names.append((f"real {one.target}", method))
@@ -298,13 +298,8 @@ def _embeddings(scores: Sequence[TranslationScores], seed: int) -> bytes:
 
 
 # File names of a report.
-PAGE, FORCE, UNSCORED, PAIRED, DISTANCES = (
-    "report.html",
-    "force.csv",
-    "unscored.csv",
-    "translation.csv",
-    "distances.csv",
-)
+PAGE, FORCE, UNSCORED = "report.html", "force.csv", "unscored.csv"
+PAIRED, DISTANCES = "translation.csv", "distances.csv"
 
 
 @dataclass(frozen=True, slots=True)
@@ -337,22 +332,20 @@ def write_report(
     out: Path,
     *,
     title: str = "What was gained",
-    seed: int = 0,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Report:
     """Write the report of predictions and translation scores, either of which may be empty.
 
-    Files of an earlier report are replaced. `seed` is that of t-SNE, and of the choice of presses
-    to plot.
+    Files of an earlier report are replaced.
     """
     if not predictions and not scores:
         raise LearningError("evaluate: found neither predictions nor translation scores")
     require_alone(scores)
     pooled = merged(predictions)
     rows, unscored = force_rows(pooled), unscored_lines(pooled)
-    force = _force(pooled, rows, seed=seed)
+    force = _force(pooled, rows)
     progress(1, 3)
-    translated = _translation(scores, seed=seed)
+    translated = _translation(scores)
     progress(2, 3)
     page = render(
         Path(__file__).with_suffix(".html"),
@@ -366,7 +359,7 @@ def write_report(
         force=force,
         unscored=unscored,
         translation=translated,
-        seed=seed,
+        seed=SEED,
     )
     tables: dict[str, list[dict[str, Any]]] = {
         FORCE: [force_line(row) for row in rows],

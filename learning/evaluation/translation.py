@@ -178,13 +178,8 @@ def _motion(table: Table, rows: Rows) -> NDArray[np.float64]:
 # Scores of translated frames and baselines: rows of tables, and their file.
 
 KIND = "translation"
-TRANSLATED, SOURCE, REFERENCE, NEAREST, FLOOR = (
-    "translated",
-    "source as is",
-    "reference as is",
-    "nearest frame",
-    "real",
-)
+TRANSLATED, SOURCE, REFERENCE = "translated", "source as is", "reference as is"
+NEAREST, FLOOR = "nearest frame", "real"
 # Frames that are scored: the translator's; its input; the target without contact; the target's
 # training frame with the nearest motion; and the target's own frames: half of them against the
 # other half, or against the simulator's ground truth.
@@ -267,14 +262,14 @@ class TranslationScores:
     def write(self, path: Path) -> None:
         """Write the scores as an .npz."""
         reported = {
-            "source": self.source,
-            "target": self.target,
-            "translator": self.translator,
-            "model": self.model,
+            **{name: getattr(self, name) for name in _TEXTS},
             "paired": [_json_row(row) for row in self.paired],
             "distances": [_json_row(row) for row in self.distances],
         }
         write_results(path, Results(KIND, reported, dict(self.features)))
+
+
+_TEXTS = ("source", "target", "translator", "model")
 
 
 def read_scores(path: Path) -> TranslationScores:
@@ -288,14 +283,14 @@ def scores_in(results: Results, path: Path) -> TranslationScores:
         raise LearningError(f"{path}: found {results.kind}; allowed: {KIND}")
     reported = results.reported
     try:
+        texts: dict[str, Any] = {name: str(reported[name]) for name in _TEXTS}
         return TranslationScores(
-            str(reported["source"]),
-            str(reported["target"]),
-            str(reported["translator"]),
-            str(reported["model"]),
-            tuple(PairedScore(**_numbers(row, PairedScore)) for row in reported["paired"]),
-            tuple(DistanceScore(**_numbers(row, DistanceScore)) for row in reported["distances"]),
-            results.arrays,
+            **texts,
+            paired=tuple(PairedScore(**_numbers(row, PairedScore)) for row in reported["paired"]),
+            distances=tuple(
+                DistanceScore(**_numbers(row, DistanceScore)) for row in reported["distances"]
+            ),
+            features=results.arrays,
         )
     except (KeyError, TypeError) as error:
         raise LearningError(f"{path}: found no translation scores: {error!r}") from None

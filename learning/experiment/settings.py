@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from learning.config import require
 from learning.errors import LearningError
 
 # Folder of the presets of this package.
@@ -66,21 +67,9 @@ class ExperimentSettings:
             raise LearningError(
                 f"translators: found {self.translators}; allowed: flow, field, diffusion, each once"
             )
-        for name in ("validation", "new_press"):
-            if not 0 <= getattr(self, name) < 1:
-                raise LearningError(
-                    f"{name}: found {getattr(self, name)}; allowed: 0 to less than 1"
-                )
-        for name in ("train_presses", "test_presses"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise LearningError(f"{name}: found {value}; allowed: 1 and more, or none")
-        if self.models_per_batch < 1:
-            raise LearningError(
-                f"models_per_batch: found {self.models_per_batch}; allowed: 1 and more"
-            )
-        if self.scored_presses < 0:
-            raise LearningError(f"scored_presses: found {self.scored_presses}; allowed: 0 and more")
+        require(self, "validation", "new_press", least=0, below=1)
+        require(self, "train_presses", "test_presses", "models_per_batch", least=1)
+        require(self, "scored_presses", least=0)
 
     def overrides(self, *changed: str) -> tuple[str, ...]:
         """Return the overrides of a training's preset, preceded by the seed of the experiment."""

@@ -60,33 +60,20 @@ BEFORE, TRANSFERRED = "source-only", "transferred"
 Task = tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
 class Places:
     """Paths of an experiment."""
 
-    out: Path
-    """Folder of the experiment."""
-    archive: Path
-
-    @property
-    def split(self) -> Path:
+    def __init__(self, out: Path, archive: Path) -> None:
+        """Name the paths in the folder `out` of an experiment on an archive."""
+        self.out, self.archive = out, archive
+        self.split = out / "split.json"
         """File of the roles of presses."""
-        return self.out / "split.json"
-
-    @property
-    def compensation(self) -> Path:
+        self.compensation = out / "compensation.json"
         """File of priors of skins, and choices for pairs."""
-        return self.out / "compensation.json"
-
-    @property
-    def predictions(self) -> Path:
+        self.predictions = out / "results"
         """Folder of predicted forces and scores of translations."""
-        return self.out / "results"
-
-    @property
-    def report(self) -> Path:
+        self.report = out / "report"
         """Folder of the report and its tables."""
-        return self.out / "report"
 
     def model(self, name: str) -> Path:
         """Return the folder of a trained model."""

@@ -5,7 +5,6 @@ residual blocks (`tail_block: raft`), with biases and batch norms; its three gat
 convolutions, two of which are one here. The file contains only tensors, so no code in it is run.
 """
 
-import pickle
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from learning.data.presses import AUTHORS
 from learning.errors import LearningError
 from learning.force.model import KIND, ForceModel, ForceNetworkSettings
 from learning.force.train import PRESETS, ForceModelSettings
-from learning.training.checkpoint import load_weights, weights_hash
+from learning.training.checkpoint import load_weights, read_tensors, weights_hash
 from learning.training.run import RunFolder
 
 # Our names of their parts; a block's convolutions and norms are renamed by `_BLOCK`.
@@ -53,7 +52,7 @@ def import_force_weights(file: Path, out: Path, *, marker_value: float = 1.0) ->
     `marker_value` is the value of a marker in their training images: 1, or 1/255 in their code for
     homogeneous and material sensors.
     """
-    tensors = _read(file)
+    tensors = read_tensors(file)
     network = _network(file, tensors)
     changes = [f"input.marker_value={marker_value!r}", 'network.tail_block="raft"']
     for name in ("encoder", "memory", "tail"):
@@ -69,21 +68,6 @@ def import_force_weights(file: Path, out: Path, *, marker_value: float = 1.0) ->
     if not run.finished:
         run.finish(0, {"model": model})
     return model.eval()
-
-
-def _read(file: Path) -> dict[str, Tensor]:
-    if not file.is_file():
-        raise LearningError(f"{file}: no such file")
-    try:
-        content = torch.load(file, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError, OSError) as error:
-        first = (str(error).splitlines() or [type(error).__name__])[0]
-        raise LearningError(f"{file}: is no file of weights: {first}") from error
-    if not isinstance(content, Mapping) or not all(
-        isinstance(each, Tensor) for each in content.values()
-    ):
-        raise LearningError(f"{file}: found no tensors by name; allowed: the state of a network")
-    return {str(name): each for name, each in content.items()}
 
 
 def _network(file: Path, tensors: Mapping[str, Tensor]) -> ForceNetworkSettings:

@@ -114,12 +114,9 @@ def calibrated_by_twin(
     forces. None without such frames.
     """
     table = archive[sensor].table
-    masks = []
-    for role in ("new_indenter", "train"):
-        mask = np.zeros(len(table["location"]), np.bool_)
-        mask[split.rows(table, role)] = True
-        masks.append(mask)
-    calibrates, learned = masks
+    every = np.arange(len(table["location"]))
+    calibrates = np.isin(every, split.rows(table, "new_indenter"))
+    learned = np.isin(every, split.rows(table, "train"))
     if not calibrates.any():
         return None
     labels = twin_forces(archive[sensor])

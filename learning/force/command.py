@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -35,24 +34,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "command continues. --set plugin=NAME trains another package's model. Several "
         "GPUs: torchrun --nproc-per-node N -m tactile train force ..."
     )
-    parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
-    parser.add_argument(
-        "--sensor", type=names, metavar="NAME,...", help="sensors to train on (the only one)"
-    )
+    add = parser.add_argument
+    add("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
+    add("--sensor", type=names, metavar="NAME,...", help="sensors to train on (the only one)")
     add_split(parser)
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="the run's folder (runs/force-SENSOR)"
-    )
+    add("--out", type=Path, metavar="DIR", help="the run's folder (runs/force-SENSOR)")
     add_settings(
         parser,
         "",
         "a preset, or your own YAML file (shading for shading, else tiny)",
         example="e.g. sequences.batch=32",
     )
-    parser.add_argument(
-        "--start-from", metavar="MODEL", help="start from the weights of this model"
-    )
-    parser.add_argument(
+    add("--start-from", metavar="MODEL", help="start from the weights of this model")
+    add(
         "--labels",
         metavar="SOURCE",
         help="labels in place of the archive's: a CSV of readings (columns indenter, target, frame "
@@ -60,9 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "`tactile compensate`; twin: by forces of twins (tactile sim labels) of both sensors of "
         "the pair, or those of the sensor's own; Y.markers.zarr: the same, if it holds the target",
     )
-    parser.add_argument(
-        "--pair", metavar="A-to-B", help="labels of A are made for B (default: that of --sensor)"
-    )
+    add("--pair", metavar="A-to-B", help="labels of A are made for B (default: that of --sensor)")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -224,17 +216,13 @@ def _errors(model: ForceModel, presses: Presses) -> str:
     import numpy as np
 
     from learning.force.model import AXES
-    from learning.metrics import axis_means
+    from learning.metrics import axis_means, by_axis
 
     if not presses.is_labelled:
         return f"{presses.sensor}: no label in validation"
     true = presses.wrench.cpu().numpy().astype(np.float64)
     off = axis_means(abs(model.predict(presses) - true)).tolist()
-    by = "  ".join(
-        f"{axis} {off_n:.3f}" if math.isfinite(off_n) else f"{axis} -"
-        for axis, off_n in zip(AXES, off, strict=True)
-    )
-    return f"{presses.sensor}: off in validation by {by} N"
+    return f"{presses.sensor}: off in validation by {by_axis(AXES, off)} N"
 
 
 def _with_intervals(

@@ -14,10 +14,8 @@ from learning.plugins import plugin_names
 # Folder that models of web addresses are copied to, below the working directory.
 COPIES = Path("models")
 # Files of a model: those that it must have, and those that it may have.
-REQUIRED, OPTIONAL = (
-    ("config.yaml", "model.safetensors"),
-    ("model.onnx", "intervals.json", "card.md"),
-)
+REQUIRED = ("config.yaml", "model.safetensors")
+OPTIONAL = ("model.onnx", "intervals.json", "card.md")
 # Largest file of a web address [B].
 FILE_BYTES = 1 << 33
 _SOURCE = "copied-from"

@@ -204,15 +204,9 @@ def fit_errors(
     the magnitude of the predicted force. Its size is split-conformal: the 90 % quantile of the
     errors over that fit, in which each indenter counts alike, however many frames it has. Frames of
     one indenter err alike, so with fewer than 9 indenters it is multiplied by a factor
-    (`beyond_largest`), as a new one may err more than all of these.
-
-    Args:
-        predicted: Forces (n, 3) [N] on frames of indenters that the model never saw.
-        wanted: Labels (n, 3) [N]; NaN is no label.
-        indenter: Indenter of each frame (n,).
-
-    Returns:
-        An error for each axis; None for an axis with fewer than `FEWEST` errors.
+    (`beyond_largest`), as a new one may err more than all of these. Forces (n, 3) [N] are on frames
+    of indenters (n,) that the model never saw; NaN is no label. An axis with fewer than `FEWEST`
+    errors has None.
     """
     magnitude = np.sqrt(np.nansum(np.asarray(predicted, np.float64) ** 2, axis=1))
     errors: list[AxisError | None] = []
@@ -343,10 +337,8 @@ _RIDGE, _LEAST = 1e-3, 1e-8
 def fit_learned(learned: Floats, held_out: Floats) -> LearnedShapes:
     """Return what was learned, with the limit that flags about 1 % of a new indenter's frames.
 
-    Args:
-        learned: Shapes of frames learned from (n, 7); 1,000 of them are kept.
-        held_out: Shapes of frames of indenters that were not (m, 7). The limit is the
-            ceil(0.99 (m + 1))-th smallest of their distances, or the largest.
+    Of the shapes learned from (n, 7) 1,000 are kept. The limit is the ceil(0.99 (m + 1))-th
+    smallest distance of those of indenters that were held out (m, 7), or the largest.
     """
     covariance = np.cov(learned.T)
     ridge = np.diag(_RIDGE * np.diag(covariance) + _LEAST)
@@ -363,17 +355,12 @@ def _rows(matrix: Floats) -> tuple[tuple[float, ...], ...]:
 
 
 def shapes_of(masks: NDArray[np.bool_], reference: NDArray[np.bool_]) -> Floats:
-    """Return the shapes of frames.
+    """Return the shapes (n, 7) of frames (n, 480, 640), by the mask without contact (480, 640).
 
-    Args:
-        masks: Frames (n, 480, 640).
-        reference: The mask without contact (480, 640), with markers.
-
-    Returns:
-        Shapes (n, 7), each relative to the reference's markers per cell: mean and standard
-        deviation over cells of their motion [px], standard deviation of the change of their area,
-        its least and most in coarse cells; then their share of the image [%], and the length of
-        their edges over that of an image [px of its width].
+    Relative to the reference's markers per cell: mean and standard deviation over cells of their
+    motion [px], standard deviation of the change of their area, its least and most in coarse cells;
+    then their share of the image [%], and the length of their edges over that of an image [px of
+    its width].
     """
     edge, area = _of_reference(reference.tobytes(), reference.shape)
     shapes = np.zeros((len(masks), SHAPE))

@@ -305,7 +305,6 @@ def open_live(
     runtime: str = "auto",
     sensor: str | None = None,
     preset_name: str | None = None,
-    threads: int = 0,
     met: Conditions | None = None,
     warn: Callable[[str], None] = lambda text: None,
 ) -> LivePredictor:
@@ -332,12 +331,12 @@ def open_live(
         if text := other_pattern(folder.name, made, sensor or "", markers):
             warn(text)
 
-    network = _stream(folder, runtime, threads)
+    network = _stream(folder, runtime)
     return LivePredictor(
         network,
         preset(preset_name) if preset_name else _preset_for(network, sensor, folder),
         intervals=read_intervals(folder),
-        before=None if before is None else _stream(before, runtime, threads),
+        before=None if before is None else _stream(before, runtime),
         seen=seen,
     )
 
@@ -370,19 +369,15 @@ def _preset_for(network: ForceStream, sensor: str | None, model: Path) -> Preset
     return preset(name) if isinstance(name, str) else built_preset(name, key_path)
 
 
-def _stream(name: str | os.PathLike[str], runtime: str, threads: int) -> ForceStream:
+def _stream(name: str | os.PathLike[str], runtime: str) -> ForceStream:
     model = model_name(os.fspath(name))
     if runtime == "auto":
         runtime = "onnx" if (Path(model) / "model.onnx").is_file() else "torch"
     if runtime != "torch":
-        return open_exported(model, runtime=runtime, threads=threads)
-    import torch
-
+        return open_exported(model, runtime=runtime)
     from learning.force.export import torch_stream
     from learning.force.model import load_force_model
 
-    if threads:
-        torch.set_num_threads(threads)
     return torch_stream(load_force_model(model))
 
 

@@ -127,8 +127,7 @@ class ForceNetworkSettings:
         if min(widths) < 4 or any(width % 4 for width in widths):
             raise LearningError(f"encoder, memory, tail: found {widths}; allowed: multiples of 4")
         require(self, "blocks", least=1)
-        if not 0.0 <= self.dropout < 1.0:
-            raise LearningError(f"dropout: found {self.dropout}; allowed: 0 to below 1")
+        require(self, "dropout", least=0, below=1)
 
 
 # Parts of the force model: residual blocks, encoders and the convolutional GRU.
@@ -229,12 +228,6 @@ def field_encoder(settings: ForceNetworkSettings, planes: int) -> nn.Sequential:
     )
 
 
-def encoder(settings: ForceNetworkSettings, inputs: InputSettings) -> nn.Sequential:
-    """Return the encoder for an input form."""
-    make = field_encoder if inputs.form == "field" else image_encoder
-    return make(settings, inputs.planes)
-
-
 class ConvGru(nn.Module):
     """A gated recurrent unit whose weights are 3 x 3 convolutions (the paper, Methods)."""
 
@@ -278,7 +271,8 @@ class ForceModel(nn.Module):
         """Build the model; convolutions start with Kaiming weights, norms constant (Methods)."""
         super().__init__()
         self.network, self.inputs = network, inputs
-        self.encoder = encoder(network, inputs)
+        make_encoder = field_encoder if inputs.form == "field" else image_encoder
+        self.encoder = make_encoder(network, inputs.planes)
         self.memory = ConvGru(network.encoder[-1], network.memory)
         middle, last = network.tail
         block = partial(EncoderBlock, stride=2) if network.tail_block == "raft" else TailBlock
@@ -310,13 +304,9 @@ class ForceModel(nn.Module):
     ) -> tuple[Tensor, Tensor]:
         """Return forces (b, s, 3), 0 to 1, and the state after the last frame of each sequence.
 
-        Frames beyond a sequence's length are not computed: their forces are 0, and they affect
-        neither the statistics of norms nor gradients.
-
-        Args:
-            frames: Prepared frames (b, s, planes, h, w).
-            state: Final state of the preceding sequences (b, channels, h, w); None: initial state.
-            lengths: Number of frames of each sequence (b,); None: all.
+        Of prepared frames (b, s, planes, h, w) and the state after those before (b, channels, h,
+        w), by default the initial one. Frames beyond a sequence's length (b,), by default all, are
+        not computed: their forces are 0, and they affect neither statistics of norms nor gradients.
         """
         batch, steps = frames.shape[:2]
         length = [steps] * batch if lengths is None else lengths

@@ -98,8 +98,7 @@ class SequenceSettings:
 
     def __post_init__(self) -> None:
         require(self, "batch", "presses", least=1)
-        if not 0.0 <= self.superpose <= 1.0:
-            raise LearningError(f"superpose: found {self.superpose}; allowed: 0 to 1")
+        require(self, "superpose", least=0, most=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -330,9 +329,6 @@ def force_range(labels: Sequence[Tensor], settings: ForceModelSettings) -> Force
     return ForceRange.from_training(forces, margin=settings.range_margin)
 
 
-# Loss
-
-
 def error(
     predicted: Tensor, wanted: Tensor, lengths: Sequence[int] | None, weights: Tensor | None = None
 ) -> Tensor:
@@ -370,9 +366,6 @@ def variances_of(groups: Sequence[Presses]) -> list[Tensor]:
 def weights_of(variance: Tensor, low: Tensor, high: Tensor) -> Tensor:
     """Return weights of labels (..., 3), 1 if certain, for forces in the range low to high (3,)."""
     return 1 / (1 + variance / (HALF * (high - low)).square())
-
-
-# Loop
 
 
 @dataclass(slots=True)

@@ -27,20 +27,13 @@ def archive_sessions(
     irregular: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[int, tuple[str, ...]]:
-    """Make or resume the marker archive of sessions.
+    """Make or resume the marker archive of sessions, one for each indenter on each sensor.
 
     Returns the number of frames made by this call, and lines of summary: frames, flags, omissions.
-
-    Args:
-        sessions: One for each indenter on each sensor.
-        out: The archive.
-        preset_name: Preset of marker detection for all sensors; None: the preset for each.
-        sensor: Name of the sensor, instead of the names in the sessions.
-        mm_per_px: Size of a pixel [mm], instead of the preset's.
-        unseen: Indenters that models may not be trained on.
-        sam: Model that refines masks of pictures; None: no refinement.
-        irregular: True for markers without a regular pattern, which are rejected otherwise.
-        progress: Called with the number of frames that exist and the total.
+    The preset of marker detection, by default that of each sensor, the name of the sensor, and the
+    size of a pixel [mm] replace those of sessions and preset. `unseen` are indenters that models
+    may not be trained on; `sam` refines masks of pictures; `irregular` markers have no regular
+    pattern, and are rejected otherwise. Progress is called with the frames made and the total.
 
     Raises:
         LearningError: Sessions are incompatible, or a preset does not fit.

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.config import READER, preset_names, preset_path, read_one_of
+from learning.config import READER, preset_names, preset_path, read_one_of, require
 from learning.errors import LearningError
 from recorder.archive import SHADING_SIDE, SHADING_ZERO
 from recorder.markers import HEIGHT, WIDTH, DiscMap, find_blobs
@@ -21,9 +21,7 @@ from recorder.markers import HEIGHT, WIDTH, DiscMap, find_blobs
 Channel = Literal["grey", "brightest", "darkest"]
 Step = Literal["open", "close", "dilate", "erode"]
 Shape = Literal["ellipse", "square"]
-CHANNELS: tuple[Channel, ...] = ("grey", "brightest", "darkest")
-STEPS: tuple[Step, ...] = ("open", "close", "dilate", "erode")
-SHAPES: tuple[Shape, ...] = ("ellipse", "square")
+CHANNELS: tuple[Channel, ...] = get_args(Channel)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,9 +62,8 @@ class Contrast:
     """Compared channel: luma, or the brightest or darkest of red, green, blue."""
 
     def __post_init__(self) -> None:
-        _require(self, "window_px", self.window_px, 3, 400)
-        _require(self, "least", self.least, 1, 255)
-        _require_one_of(self, "channel", self.channel, CHANNELS)
+        require(self, "window_px", least=3, most=400)
+        require(self, "least", least=1, most=255)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,9 +90,8 @@ class Hat:
     """True to look for the reference's markers again where a contact hides them."""
 
     def __post_init__(self) -> None:
-        _require(self, "size_px", self.size_px, 3, 200)
-        _require(self, "least", self.least, 0.01, 0.99)
-        _require_one_of(self, "channel", self.channel, CHANNELS)
+        require(self, "size_px", least=3, most=200)
+        require(self, "least", least=0.01, most=0.99)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,9 +108,9 @@ class BlurDifference:
     """Minimum difference [grey levels]."""
 
     def __post_init__(self) -> None:
-        _require(self, "kernel_px", self.kernel_px, 1, 199)
-        _require(self, "sigma_px", self.sigma_px, 0.1, 100)
-        _require(self, "least", self.least, 1, 255)
+        require(self, "kernel_px", least=1, most=199)
+        require(self, "sigma_px", least=0.1, most=100)
+        require(self, "least", least=1, most=255)
         if self.kernel_px % 2 == 0:
             raise LearningError(f"blur_difference.kernel_px: found {self.kernel_px}; allowed: odd")
 
@@ -129,7 +125,7 @@ class Dark:
     """Limit, 1 to 255."""
 
     def __post_init__(self) -> None:
-        _require(self, "below", self.below, 1, 255)
+        require(self, "below", least=1, most=255)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,8 +142,7 @@ class ColourBelow:
     """Limit, 1 to 256."""
 
     def __post_init__(self) -> None:
-        for name in ("red", "green", "blue"):
-            _require(self, name, getattr(self, name), 1, 256)
+        require(self, "red", "green", "blue", least=1, most=256)
 
 
 # Presets select one by its `kind`.
@@ -166,10 +161,8 @@ class Morphology:
     shape: Shape = "ellipse"
 
     def __post_init__(self) -> None:
-        _require(self, "size_px", self.size_px, 1, 99)
-        _require(self, "times", self.times, 1, 20)
-        _require_one_of(self, "step", self.step, STEPS)
-        _require_one_of(self, "shape", self.shape, SHAPES)
+        require(self, "size_px", least=1, most=99)
+        require(self, "times", least=1, most=20)
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,15 +198,14 @@ class CameraPreset:
     def __post_init__(self) -> None:
         if not self.detectors:
             raise LearningError("detectors: found none; allowed: one or more")
-        if self.mm_per_px is not None:
-            _require(self, "mm_per_px", self.mm_per_px, 1e-4, 10)
-        _require(self, "smooth_px", self.smooth_px, 1, 99)
+        require(self, "mm_per_px", least=1e-4, most=10)
+        require(self, "smooth_px", least=1, most=99)
         if self.smooth_px % 2 == 0:
             raise LearningError(f"smooth_px: found {self.smooth_px}; allowed: odd")
         if not 1 <= self.area_px[0] < self.area_px[1]:
             raise LearningError(f"area_px: found {self.area_px}; allowed: 1 <= least < largest")
-        _require(self, "box_px", self.box_px, 1, 240)
-        _require(self, "tolerance", self.tolerance, 0, 1000)
+        require(self, "box_px", least=1, most=240)
+        require(self, "tolerance", least=0, most=1000)
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,8 +225,7 @@ class TaxelPreset:
     """Map from counts to discs."""
 
     def __post_init__(self) -> None:
-        if self.mm_per_px is not None:
-            _require(self, "mm_per_px", self.mm_per_px, 1e-4, 10)
+        require(self, "mm_per_px", least=1e-4, most=10)
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,25 +243,12 @@ class ShadingPreset:
     """Region of the picture in use; its polygon has no effect."""
 
     def __post_init__(self) -> None:
-        if self.mm_per_px is not None:
-            _require(self, "mm_per_px", self.mm_per_px, 1e-4, 10)
+        require(self, "mm_per_px", least=1e-4, most=10)
         if self.region.polygon:
             raise LearningError("region.polygon: found one; allowed: rows and columns, for shading")
 
 
 Preset = CameraPreset | TaxelPreset | ShadingPreset
-
-
-def _require(owner: object, name: str, value: float, low: float, high: float) -> None:
-    if not low <= value <= high:
-        kind = getattr(owner, "KIND", type(owner).__name__.lower())
-        raise LearningError(f"{kind}.{name}: found {value}; allowed: {low} to {high}")
-
-
-def _require_one_of(owner: object, name: str, value: str, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
-        kind = getattr(owner, "KIND", type(owner).__name__.lower())
-        raise LearningError(f"{kind}.{name}: found {value!r}; allowed: {', '.join(allowed)}")
 
 
 # Segmentation of a picture by a preset, with OpenCV.

@@ -8,6 +8,7 @@ A finished run is such a folder, and so is each of its checkpoints.
 
 import hashlib
 import logging
+import pickle
 import subprocess
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
@@ -51,6 +52,33 @@ def read_weights(path: Path) -> dict[str, Tensor]:
     except (SafetensorError, OSError) as error:
         raise LearningError(f"{path}: corrupt or incomplete safetensors file: {error}") from None
     return weights
+
+
+def read_tensors(path: Path) -> dict[str, Tensor]:
+    """Return the tensors of a file by name: safetensors, or a pickle of tensors only."""
+    content = read_plain(path)
+    if not isinstance(content, dict) or not all(
+        isinstance(value, Tensor) for value in content.values()
+    ):
+        raise LearningError(f"{path}: found {type(content).__name__}; allowed: named tensors")
+    return content
+
+
+def read_plain(path: Path) -> Any:
+    """Return the content of a weights file; pickles may hold only tensors and plain values."""
+    if not path.is_file():
+        raise LearningError(f"{path}: no such file")
+    if path.suffix == ".safetensors":
+        return read_weights(path)
+    try:
+        return torch.load(path, map_location="cpu", weights_only=True)
+    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError, OSError) as error:
+        raise LearningError(f"{path}: is no file of weights: {first_line(error)}") from error
+
+
+def first_line(error: Exception) -> str:
+    """Return the first line of an error's message, or its type."""
+    return (str(error).splitlines() or [type(error).__name__])[0]
 
 
 def load_weights(model: nn.Module, weights: Path | Mapping[str, Tensor], prefix: str = "") -> None:

@@ -4,7 +4,7 @@ A learning rate in settings is one of these classes, selected by `kind` in YAML.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import torch
@@ -12,7 +12,7 @@ import torch
 from learning.errors import LearningError
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Constant:
     """A constant rate after a warm-up from zero."""
 
@@ -23,27 +23,28 @@ class Constant:
     """Steps over which the rate rises."""
 
     def __post_init__(self) -> None:
-        _require(self.rate, self.warm_up)
+        if not (0 <= self.rate < math.inf and self.warm_up >= 0):
+            raise LearningError(
+                f"schedule: found rate {self.rate}, warm_up {self.warm_up}; allowed: 0 and more, "
+                "finite"
+            )
 
     def at(self, step: int) -> float:
         """Return the rate of a step, from 0."""
-        return self.rate * _risen(step, self.warm_up)
+        return self.rate * min(1.0, (step + 1) / (self.warm_up + 1))
 
 
-@dataclass(frozen=True, slots=True)
-class Cosine:
-    """Half a cosine wave from the rate to zero."""
+@dataclass(frozen=True)
+class Cosine(Constant):
+    """Half a cosine wave from the rate to zero; the warm-up is the first of its steps."""
 
     KIND: ClassVar[str] = "cosine"
 
-    rate: float
-    steps: int
+    steps: int = field(kw_only=True)
     """Step at which the rate reaches zero, and stays there."""
-    warm_up: int = 0
-    """Steps over which the rate rises; they are the first of `steps`."""
 
     def __post_init__(self) -> None:
-        _require(self.rate, self.warm_up)
+        super().__post_init__()
         if self.steps <= self.warm_up:
             raise LearningError(
                 f"cosine: found steps {self.steps}, warm_up {self.warm_up}; allowed: more steps "
@@ -52,29 +53,20 @@ class Cosine:
 
     def at(self, step: int) -> float:
         """Return the rate of a step, from 0."""
-        if step < self.warm_up:
-            return self.rate * _risen(step, self.warm_up)
         fraction = min(1.0, (step - self.warm_up) / (self.steps - self.warm_up))
-        return self.rate * ((1 + math.cos(math.pi * fraction)) / 2)
+        falling = (1 + math.cos(math.pi * max(0.0, fraction))) / 2
+        return super().at(step) * falling
 
 
-@dataclass(frozen=True, slots=True)
-class InversePower:
+@dataclass(frozen=True)
+class InversePower(Constant):
     """rate (1 + 3e-4 step)^-0.75, stepped every iteration (authors' code)."""
 
     KIND: ClassVar[str] = "inverse_power"
 
-    rate: float
-    warm_up: int = 0
-    """Steps over which the rate rises."""
-
-    def __post_init__(self) -> None:
-        _require(self.rate, self.warm_up)
-
     def at(self, step: int) -> float:
         """Return the rate of a step, from 0."""
-        fallen = float((1 + 3e-4 * step) ** -0.75)
-        return self.rate * fallen * _risen(step, self.warm_up)
+        return super().at(step) * float((1 + 3e-4 * step) ** -0.75)
 
 
 Schedule = Constant | Cosine | InversePower
@@ -84,14 +76,3 @@ def set_rate(optimiser: torch.optim.Optimizer, rate: float) -> None:
     """Set the learning rate of an optimiser, wrapped by Accelerate or not."""
     for group in optimiser.param_groups:
         group["lr"] = rate
-
-
-def _risen(step: int, warm_up: int) -> float:
-    return min(1.0, (step + 1) / (warm_up + 1))
-
-
-def _require(rate: float, warm_up: int) -> None:
-    if not (0 <= rate < math.inf and warm_up >= 0):
-        raise LearningError(
-            f"schedule: found rate {rate}, warm_up {warm_up}; allowed: 0 and more, finite"
-        )

@@ -147,7 +147,10 @@ class RunFolder:
         building.mkdir(parents=True)
         for name, model in models.items():
             save_weights(model, building / f"{name}.safetensors")
-        states = {name: _state(value) for name, value in training.items()}
+        states = {
+            name: value.state_dict() if hasattr(value, "state_dict") else value
+            for name, value in training.items()
+        }
         torch.save({**states, _RNG: _rng_state()}, building / TRAINING)
         _read_training(building / TRAINING)
         replace(self.config, step=step, score=score).write(building)
@@ -273,10 +276,6 @@ def _plain(value: float | str) -> float | str | None:
     return number if math.isfinite(number) else None
 
 
-def _state(value: Any) -> Any:
-    return value.state_dict() if hasattr(value, "state_dict") else value
-
-
 def _read_training(path: Path) -> dict[str, Any]:
     try:
         states: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
@@ -370,13 +369,12 @@ def seed_torch(seed: int, *words: str | int) -> None:
 
 
 def batch(
-    seed: int, step: int, size: int, count: int, *, rank: int = 0, ranks: int = 1, what: str = ""
+    seed: int, step: int, size: int, count: int, *, rank: int = 0, ranks: int = 1
 ) -> NDArray[np.int64]:
     """Return the items of `count` that a process sees in a step (size,), without repeats in a pass.
 
     Each pass covers all items, in its own order, before the next begins; a batch may span two
     passes. The processes (`rank` of `ranks`) of one step see different parts of the same order.
-    `what` names the choice, if there are several.
     """
     if count < 1 or size < 1:
         raise LearningError(f"batch: found {size} of {count}; allowed: 1 and more of 1 and more")
@@ -386,14 +384,14 @@ def batch(
     chosen = np.empty(size, np.int64)
     for number in np.unique(passes).tolist():
         here = passes == number
-        chosen[here] = _order(seed, what, number, count)[within[here]]
+        chosen[here] = _order(seed, number, count)[within[here]]
     return chosen
 
 
 @functools.lru_cache(maxsize=8)
-def _order(seed: int, what: str, number: int, count: int) -> NDArray[np.int64]:
+def _order(seed: int, number: int, count: int) -> NDArray[np.int64]:
     """Return the order of one pass."""
-    order = generator(seed, "order", what, number).permutation(count).astype(np.int64)
+    order = generator(seed, "order", "", number).permutation(count).astype(np.int64)
     order.setflags(write=False)
     return order
 
@@ -458,10 +456,6 @@ class Stop:
             raise KeyboardInterrupt
 
 
-def _no_progress(done: int, total: int) -> None:
-    """Report progress to nobody."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingSession:
     """Surroundings of a training: where it computes and writes, who stops and watches it."""
@@ -472,9 +466,9 @@ class TrainingSession:
     """Folder from which it resumes, for log, checkpoints and model."""
     stop: Stop = field(default_factory=Stop)
     """Ctrl-C handler; enter it only where the current step can be completed first."""
-    progress: ReportItems = _no_progress
+    progress: ReportItems = lambda done, total: None
     """Called with the number of steps done and the total."""
-    reading: ReportItems = _no_progress
+    reading: ReportItems = lambda done, total: None
     """Called likewise as data is read."""
 
     @property

@@ -259,11 +259,10 @@ def _compensated(
 
 def _scale(request: TransferRequest, method: str) -> Scale:
     """Return what is known of the scale before any weight or label."""
-    if method == SIMULATED:
-        text = "twins of both skins, which simulate every press; their ratio is assumed to hold"
-        return Scale(request.within or CURVES, text, assumed=False)
     if method != UNSCALED:
         text = "force-depth curves of both skins; their ratio is assumed to hold for all indenters"
+        if method == SIMULATED:
+            text = "twins of both skins, which simulate every press; their ratio is assumed to hold"
         return Scale(request.within or CURVES, text, assumed=False)
     ratio = 1.0 if request.ratio is None else request.ratio
     text = (

@@ -152,11 +152,11 @@ class TranslatedSensor:
         wanted = self._rows[rows]
         packed = np.zeros((len(wanted), PACKED), np.uint8)
         presses = self._presses[wanted]
-        for press in _in_order(presses):
+        for press in dict.fromkeys(map(tuple, presses.tolist())):
             here = np.flatnonzero((presses == press).all(axis=1))
             here = here[self._table["valid"][wanted[here]]]
             if len(here):
-                press_rows, translated = self._press(tuple(press.tolist()))
+                press_rows, translated = self._press(press)
                 packed[here] = translated[np.searchsorted(press_rows, wanted[here])]
         table = {name: self._table[name][wanted] for name in GIVEN}
         table["reference"] = self._reference[wanted]
@@ -224,12 +224,6 @@ def _press_of(table: Mapping[str, np.ndarray[Any, Any]]) -> NDArray[np.int64]:
     return np.stack([table[name] for name in ("indenter", "target", "reference")], axis=1).astype(
         np.int64
     )
-
-
-def _in_order(presses: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the distinct presses (p, 3) in order of first appearance."""
-    different, first = np.unique(presses, axis=0, return_index=True)
-    return np.asarray(different[np.argsort(first)])
 
 
 def _by_press(table: Mapping[str, np.ndarray[Any, Any]], rows: Rows) -> Rows:

@@ -77,20 +77,6 @@ def _field(sensor: ArchivedSensor, batch: NDArray[np.int64], frame: int) -> NDAr
 
 Kind = tuple[str, tuple[int, ...], str]
 
-# All finding codes of an archive check.
-CODES = {
-    "unfinished": "units or tables are missing",
-    "metadata": "a zarr.json that is missing or does not match the format",
-    "wrong-dtype": "a column whose type, shape or unit differs from the specification",
-    "unequal-lengths": "a column whose length differs from the number of frames",
-    "missing-chunk": "a chunk that an array declares but that does not exist",
-    "bad-crc": "bytes that differ from those written",
-    "nan": "values that are not numbers where numbers are required",
-    "bad-code": "codes without a name, and invalid row references",
-    "marker-count": "frames whose markers differ from those of their reference",
-    "left-behind": "files that exist only while an archive is being written",
-}
-
 _NAMED = 3  # number of rows for which a finding gives the reason
 _LISTED = 20  # number of rows that a finding lists
 
@@ -170,14 +156,10 @@ def _prescribed(sensor: ArchivedSensor, name: str, stored: Kind) -> Kind:
 
 
 def _layouts(sensor: ArchivedSensor) -> dict[str, ArchiveArray]:
-    names = [
-        sensor.representation.array,
-        "references",
-        "sources",
-        *(f"table/{name}" for name in COLUMNS),
-    ]
+    names = [sensor.representation.array, "references", "sources"]
     columns = {group.name for group in sensor.files.groups(sensor.path / "table")}
-    names += [f"table/{name}" for name in SIMULATED if name in columns]
+    simulated = [name for name in SIMULATED if name in columns]
+    names += [f"table/{name}" for name in (*COLUMNS, *simulated)]
     if sensor.keeps_displacement:
         names.insert(1, "displacement")
     return {name: ArchiveArray.load(sensor.path / name, sensor.files) for name in names}
@@ -187,14 +169,14 @@ def _check_chunks(sensor: ArchivedSensor) -> Iterator[Finding]:
     """Decode every chunk, which verifies its checksum."""
     for name, layout in _layouts(sensor).items():
         reader = ColumnReader(layout)
-        missing: list[str] = []
-        damaged: list[str] = []
+        faults: dict[str, list[str]] = {"missing-chunk": [], "bad-crc": []}
         for number in range(-(-len(reader) // layout.rows_per_chunk)):
             try:
                 layout.decoded(reader.chunk(number))
             except SessionError as error:
-                (missing if str(error).endswith("missing") else damaged).append(str(error))
-        for code, messages in (("missing-chunk", missing), ("bad-crc", damaged)):
+                code = "missing-chunk" if str(error).endswith("missing") else "bad-crc"
+                faults[code].append(str(error))
+        for code, messages in faults.items():
             if messages:
                 message = f"{len(messages)} found, first: {messages[0]}"
                 yield Finding(code, f"{sensor.name}/{name}", message)

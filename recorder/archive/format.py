@@ -19,7 +19,7 @@ from recorder.errors import SessionError
 from recorder.markers import PACKED, SMALLEST_PX, Lattice
 from recorder.settings import differing_keys
 from recorder.spec import ARCHIVE_FORMAT, PHASES
-from recorder.store.documents import merge_attrs, read_attrs, read_document, write_group
+from recorder.store.documents import read_attrs, read_document, write_group
 from recorder.store.files import LOCAL, Files, replace_file, sync_directory
 from recorder.store.layout import Array, ArrayLayout, packed_index
 
@@ -582,11 +582,6 @@ def read_archive_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:
     for name in attrs["sensors"]:
         require_plain_name(name)
     return attrs
-
-
-def mark_complete(path: Path) -> None:
-    """Set the status of an archive whose tables are written."""
-    merge_attrs(path, {"status": COMPLETE})
 
 
 @dataclass(frozen=True)

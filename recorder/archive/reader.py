@@ -23,6 +23,7 @@ from recorder.archive.format import (
     read_sensor,
     require_plain_name,
 )
+from recorder.command_line.terminal import table
 from recorder.errors import SessionError
 from recorder.markers import SMALLEST_PX, Lattice, count_markers, unpack
 from recorder.store.files import LOCAL, Files, locate
@@ -337,9 +338,6 @@ def archive_fingerprint(archive: MarkerArchive) -> str:
 
 # Text summary of an archive.
 
-_TITLES = ("frames", "shapes", "refs", "markers", "MB", "mm/px", "depth mm", "Fx N", "Fy N", "Fz N")
-_WIDTHS = (8, 6, 5, 7, 9, 7, 12, 13, 13, 14)
-
 
 def describe_archive(path: str | os.PathLike[str]) -> str:
     """Return a summary of an archive, with one line per sensor."""
@@ -353,12 +351,13 @@ def describe_archive(path: str | os.PathLike[str]) -> str:
         attrs.pop(key)
     lines += [f"  {key:12s} {value}" for key, value in attrs.items()]
     lines.append("")
-    lines.append(f"{'sensor':16s}" + "".join(map(_cell, _TITLES, _WIDTHS)))
-    lines += [_sensor_line(sensor, tables=not archive.warning) for sensor in archive.values()]
+    rows = [_row(sensor, tables=not archive.warning) for sensor in archive.values()]
+    lines += table({name: [row[name] for row in rows] for name in rows[0]}) if rows else []
     return "\n".join(lines)
 
 
-def _sensor_line(sensor: ArchivedSensor, *, tables: bool) -> str:
+def _row(sensor: ArchivedSensor, *, tables: bool) -> dict[str, str]:
+    """Return the summary of a sensor by heading."""
     smallest = (sensor.attrs.get("marker_check") or {}).get("smallest_px", SMALLEST_PX)
     markers = "-"
     if sensor.representation == MASKS:
@@ -369,17 +368,17 @@ def _sensor_line(sensor: ArchivedSensor, *, tables: bool) -> str:
         shapes = str(len(np.unique(sensor.table["indenter"])))
         depth = _span(sensor.table["depth"] * 1e3)
         force = [_span(axis) for axis in sensor.table["wrench"][:, :3].T]
-    cells = (
-        str(len(sensor)),
-        shapes,
-        str(len(sensor.reference_frames)),
-        markers,
-        f"{size:.2f}",
-        f"{sensor.mm_per_px:.4f}",
-        depth,
-        *force,
-    )
-    return f"{sensor.name:16s}" + "".join(map(_cell, cells, _WIDTHS))
+    return {
+        "sensor": sensor.name,
+        "frames": str(len(sensor)),
+        "shapes": shapes,
+        "refs": str(len(sensor.reference_frames)),
+        "markers": markers,
+        "MB": f"{size:.2f}",
+        "mm/px": f"{sensor.mm_per_px:.4f}",
+        "depth mm": depth,
+        **dict(zip(("Fx N", "Fy N", "Fz N"), force, strict=True)),
+    }
 
 
 def _span(values: NDArray[np.float64]) -> str:
@@ -388,7 +387,3 @@ def _span(values: NDArray[np.float64]) -> str:
         return "-"
     low, high = (round(float(value), 2) + 0.0 for value in (finite.min(), finite.max()))
     return f"{low:.2f} {high:.2f}"  # adding zero turned -0.0 into 0.0
-
-
-def _cell(text: str, width: int) -> str:
-    return f" {text:>{width}s}"

@@ -30,13 +30,13 @@ from recorder.archive.format import (
     begin,
     checked_columns,
     column_array,
-    mark_complete,
     read_archive_attrs,
     read_sensor,
     write_table,
 )
 from recorder.archive.reader import ArchivedSensor, Simulated
 from recorder.errors import SessionError
+from recorder.store.documents import merge_attrs
 from recorder.store.files import TEMPORARY, replace_file, sync_directory
 from recorder.store.layout import Array
 
@@ -148,7 +148,7 @@ class ArchiveWriter:
         if not self.complete:
             for sensor in self.sensors.values():
                 sensor.write_table(self._indenters)
-            mark_complete(self.path)
+            merge_attrs(self.path, {"status": COMPLETE})
         for sensor in self.sensors.values():
             sensor.ledger.remove()
         for left in self.path.rglob(f"*{TEMPORARY}"):
@@ -207,12 +207,9 @@ class SensorWriter:
     ) -> None:
         """Write one whole unit. A unit that is already finished is not changed.
 
-        Args:
-            unit: Number of the unit.
-            packed: Frames of its n rows: packed masks (n, 38400), or as the representation.
-            table: The columns of `GIVEN`, n values each.
-            source: One provenance line per row; rows of one press share theirs.
-            displacement: Fields (n, *lattice.shape) [px], if the plan has a lattice.
+        Its n frames are packed masks (n, 38400), or as the representation; the table has columns
+        `GIVEN`, n values each, and `source` a provenance line per row; rows of one press share
+        theirs. If the plan has a lattice, there are fields (n, *lattice.shape) [px].
 
         Raises:
             SessionError: Data that does not match the plan, or a value that is not allowed.

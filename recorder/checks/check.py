@@ -280,17 +280,15 @@ def _unlike_spec(layout: StreamLayout, spec: StreamSpec, where: str) -> Iterator
         name = f"{where}/{expected.name}"
         column = stored.get(expected.name)
         if column is None:
-            yield Finding("wrong-dtype", name, "column not found")
+            message = "column not found"
         elif (column.dtype, column.shape) != (expected.dtype, expected.shape):
-            yield Finding(
-                "wrong-dtype",
-                name,
-                f"found {column.dtype} {column.shape}, expected {expected.dtype} {expected.shape}",
-            )
+            due = f"{expected.dtype} {expected.shape}"
+            message = f"found {column.dtype} {column.shape}, expected {due}"
         elif column.units and column.units != expected.units:
-            yield Finding(
-                "wrong-dtype", name, f"found units {column.units!r}, expected {expected.units!r}"
-            )
+            message = f"found units {column.units!r}, expected {expected.units!r}"
+        else:
+            continue
+        yield Finding("wrong-dtype", name, message)
 
 
 def _spec_of(layout: StreamLayout) -> StreamSpec | None:
@@ -468,26 +466,25 @@ def _check_times(
 ) -> Iterator[Finding]:
     if len(t_ns) < 2:
         return
+
+    def counted(rows: NDArray[np.intp]) -> str:
+        return f"{rows.size} found, first at row {first + rows[0] + 1}"
+
     limit = max(GAP_PERIODS / rate_hz, GAP_LEAST)
     steps = np.diff(t_ns) * NS
     jumped = np.zeros(0, np.intp) if compressed else _clock_steps(t_ns, columns, limit)
     if jumped.size:
-        at = jumped[0]
-        message = f"{jumped.size} found, first at row {first + at + 1}, {steps[at]:+.3f} s"
-        yield Finding("clock-step", where, message)
+        yield Finding("clock-step", where, f"{counted(jumped)}, {steps[jumped[0]]:+.3f} s")
     explained = in_stalls(stood, t_ns[:-1], t_ns[1:])
     explained[losses.row - 1] = True
     explained[jumped] = True
     if losses.source == SEQUENCE:
         repeated = np.flatnonzero(np.diff(columns["seq"]) <= 0)
         if repeated.size:
-            message = f"{repeated.size} found, first at row {first + repeated[0] + 1}"
-            yield Finding("seq-order", f"{where}/seq", message)
+            yield Finding("seq-order", f"{where}/seq", counted(repeated))
     backward = np.flatnonzero((steps <= 0) & ~explained)
     if backward.size:
-        at = backward[0]
-        message = f"{backward.size} found, first at row {first + at + 1}, {steps[at]:+.6f} s"
-        yield Finding("time-order", where, message)
+        yield Finding("time-order", where, f"{counted(backward)}, {steps[backward[0]]:+.6f} s")
     if compressed or losses.source == EVENTS:
         return
     gaps = np.flatnonzero((steps > limit) & ~explained)
@@ -513,19 +510,13 @@ def _clock_steps(
     if device_t is None or not np.isfinite(device_t).all():
         return np.zeros(0, np.intp)
     offset = (t_ns - t_ns[0]) * NS - (device_t - device_t[0])
-    step_rows = [
-        at
-        for at in map(int, np.flatnonzero(np.abs(np.diff(offset)) > limit))
-        if abs(_level(offset, at + 1, 1) - _level(offset, at, -1)) > limit / 2
-    ]
+    step_rows = []
+    for at in map(int, np.flatnonzero(np.abs(np.diff(offset)) > limit)):
+        before = offset[max(at - _STEP_SAMPLES + 1, 0) : at + 1]
+        after = offset[at + 1 : at + 1 + _STEP_SAMPLES]
+        if abs(np.median(after) - np.median(before)) > limit / 2:
+            step_rows.append(at)
     return np.array(step_rows, np.intp)
-
-
-def _level(offset: NDArray[np.float64], at: int, direction: int) -> float:
-    """Return the median of the samples from row `at` on, forward or backward."""
-    if direction > 0:
-        return float(np.median(offset[at : at + _STEP_SAMPLES]))
-    return float(np.median(offset[max(at - _STEP_SAMPLES + 1, 0) : at + 1]))
 
 
 def _check_frozen(

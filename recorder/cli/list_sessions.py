@@ -17,24 +17,21 @@ _STATUSES = ("recording", "complete", "stopped", "recovered", UNREADABLE)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    parser.add_argument(
+    add = parser.add_argument
+    add(
         "folder",
         type=Path,
         nargs="?",
         default=Path("sessions"),
         help="folder of sessions, searched with its subfolders (%(default)s)",
     )
-    parser.add_argument("--sensor", default="", metavar="NAME", help="only sessions of this sensor")
-    parser.add_argument(
-        "--indenter", default="", metavar="NAME", help="only sessions with this indenter"
-    )
-    parser.add_argument("--plan", default="", metavar="KIND", help="press_shear or force_depth")
-    parser.add_argument("--status", default="", choices=_STATUSES, help="only this status")
+    add("--sensor", default="", metavar="NAME", help="only sessions of this sensor")
+    add("--indenter", default="", metavar="NAME", help="only sessions with this indenter")
+    add("--plan", default="", metavar="KIND", help="press_shear or force_depth")
+    add("--status", default="", choices=_STATUSES, help="only this status")
     day = reads(date.fromisoformat, "a day such as 2026-11-24")
-    parser.add_argument(
-        "--since", type=day, metavar="DATE", help="first day, such as 2026-11-24 (UTC)"
-    )
-    parser.add_argument("--until", type=day, metavar="DATE", help="last day, included (UTC)")
+    add("--since", type=day, metavar="DATE", help="first day, such as 2026-11-24 (UTC)")
+    add("--until", type=day, metavar="DATE", help="last day, included (UTC)")
     faults = parser.add_mutually_exclusive_group()
     faults.add_argument(
         "--faults",
@@ -45,12 +42,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     faults.add_argument(
         "--no-faults", action="store_false", dest="faults", help="only sessions without faults"
     )
-    parser.add_argument(
+    add(
         "--check",
         action="store_true",
         help="check the listed sessions that were not checked since they changed; may take long",
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object per session")
+    add("--json", action="store_true", help="print one JSON object per session")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -118,9 +118,9 @@ def add_device(parser: argparse._ActionsContainer, purpose: str = "device") -> N
     add_value(parser, "--device", "NAME", "cpu", f"{purpose}: cpu, or cuda:0 and the like", str)
 
 
-def add_seed(parser: argparse._ActionsContainer, default: int = 0) -> None:
+def add_seed(parser: argparse._ActionsContainer) -> None:
     """Add `--seed`, the seed of all random draws."""
-    add_value(parser, "--seed", "N", default, "seed of random draws", int)
+    add_value(parser, "--seed", "N", 0, "seed of random draws", int)
 
 
 def add_grid(parser: argparse._ActionsContainer, default: int = 64) -> None:

@@ -41,6 +41,8 @@ _ENCODINGS = {
     "mono8": (1, (0, 0, 0)),
     "8UC1": (1, (0, 0, 0)),
 }
+# Names of a stamp's whole seconds and of its nanoseconds.
+_STAMPS = (("sec", "nanosec"), ("sec", "nsec"), ("seconds", "nanos"), ("secs", "nsecs"))
 _SUPPORT = "pip install 'tactile-rig[export]'"
 
 
@@ -242,12 +244,7 @@ def _stamp(message: Any) -> int | None:
     """Return a message's own time [ns]; None if it has none, or one that was never set."""
     stamp = getattr(getattr(message, "header", message), "stamp", None)
     stamp = getattr(message, "timestamp", None) if stamp is None else stamp
-    for whole, parts in (
-        ("sec", "nanosec"),
-        ("sec", "nsec"),
-        ("seconds", "nanos"),
-        ("secs", "nsecs"),
-    ):
+    for whole, parts in _STAMPS:
         if hasattr(stamp, whole) and hasattr(stamp, parts):
             stamp_ns = int(getattr(stamp, whole)) * 10**9 + int(getattr(stamp, parts))
             return stamp_ns or None

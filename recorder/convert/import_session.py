@@ -324,9 +324,6 @@ def _require_sign(track: RecordedTrack, no_contact: Span, presses: Sequence[Pres
         )
 
 
-# Sessions.
-
-
 def write_sessions(
     drafts: Sequence[Draft], out: Path, answers: Answers, progress: ReportItems | None = None
 ) -> list[Path]:

@@ -288,28 +288,22 @@ def _stamped(
     name: str, seconds: NDArray[np.float64], nominal: float, fps: float | None
 ) -> tuple[Times, float, str]:
     """Return times [ns] and rate of a video's images, and a message on where they come from."""
-    count = len(seconds)
-    steps = np.diff(seconds)
+    count, steps = len(seconds), np.diff(seconds)
+    rate_hz, by = nominal, "its header"
     if fps is not None:
-        return every(range(count), fps), fps, f"{name}: {fps:g} images/s by --fps"
-    if count > 1 and (steps > 0).all():
+        rate_hz, by = fps, "--fps"
+    elif count > 1 and (steps > 0).all():
         middle = float(np.median(steps))
         if float(np.abs(steps - middle).max()) > _UNEVEN * middle:
             times = np.round(1e9 * (seconds - seconds[0])).astype(np.int64)
             message = f"{name}: times by its own stamps, steps {1e3 * steps.min():.1f} to "
             return times, 1.0 / middle, f"{message}{1e3 * steps.max():.1f} ms"
         # Evenly spaced stamps are rounded in the file; the header's rate is exact.
-        if abs(nominal * middle - 1) < 0.01:
-            return (
-                every(range(count), nominal),
-                nominal,
-                f"{name}: {nominal:g} images/s by its header",
-            )
-        rate_hz = (count - 1) / float(seconds[-1] - seconds[0])
-        return every(range(count), rate_hz), rate_hz, f"{name}: {rate_hz:g} images/s by its stamps"
-    if not nominal > 0:
+        if abs(nominal * middle - 1) >= 0.01:
+            rate_hz, by = (count - 1) / float(seconds[-1] - seconds[0]), "its stamps"
+    elif not nominal > 0:
         raise SessionError(f"{name}: says no rate; say --fps")
-    return every(range(count), nominal), nominal, f"{name}: {nominal:g} images/s by its header"
+    return every(range(count), rate_hz), rate_hz, f"{name}: {rate_hz:g} images/s by {by}"
 
 
 def film_of_pictures(

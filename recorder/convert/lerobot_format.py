@@ -190,22 +190,15 @@ def features_of(session: Session) -> dict[str, Feature]:
         features[named[name]] = _feature(session.streams[name])
     if _NAMES["pose"] in features:
         features["action"] = Feature("float32", (6,), _POSE)
-    features |= {
-        "depth": Feature("float32"),
-        "phase": Feature("int64"),
-        "target": Feature("int64"),
-        "run": Feature("int64"),
+    number, real = Feature("int64"), Feature("float32")
+    return features | {
+        "depth": real,
+        **dict.fromkeys(("phase", "target", "run"), number),
         "valid": Feature("bool"),
-        "t_ns": Feature("int64"),
-        "capture_ns": Feature("int64"),
-        "utc_ns": Feature("int64"),
-        "timestamp": Feature("float32"),
-        "frame_index": Feature("int64"),
-        "episode_index": Feature("int64"),
-        "index": Feature("int64"),
-        "task_index": Feature("int64"),
+        **dict.fromkeys(("t_ns", "capture_ns", "utc_ns"), number),
+        "timestamp": real,
+        **dict.fromkeys(("frame_index", "episode_index", "index", "task_index"), number),
     }
-    return features
 
 
 def _feature(stream: Stream) -> Feature:
@@ -392,11 +385,7 @@ def _columns(session: Session, press: RecordedPress, out: _Dataset) -> dict[str,
     ticks, age = frames["t_ns"][rows], frames["image_age"][rows]
     capture = ticks - np.round(np.where(np.isfinite(age), age, 0.0) / NS).astype(np.int64)
     columns: dict[str, Any] = {
-        "depth": frames["depth"][rows],
-        "phase": frames["phase"][rows],
-        "target": frames["target"][rows],
-        "run": frames["run"][rows],
-        "valid": frames["valid"][rows],
+        **{name: frames[name][rows] for name in ("depth", "phase", "target", "run", "valid")},
         "t_ns": ticks,
         "capture_ns": capture,
         "utc_ns": capture + utc_offset(session, press.run),

@@ -57,8 +57,6 @@ def need_presses(session: Session, *, valid_only: bool) -> list[RecordedPress]:
 
 # Conversion of a run's host times to UTC, for formats with a single clock.
 
-Clock = NDArray[np.int64]
-
 
 def utc_offset(session: Session, run: int) -> int:
     """Return the offset from host times of a run to UTC [ns since 1970]."""
@@ -89,7 +87,7 @@ def parse_utc(text: str) -> int:
     return round(moment.timestamp()) * 10**9 + int((digits + "0" * 9)[:9])
 
 
-def utc_of_rows(session: Session, name: str, times: Times) -> Clock:
+def utc_of_rows(session: Session, name: str, times: Times) -> Times:
     """Return host times [ns] of all rows of a stream, `segments` or `reference` (n,) as UTC."""
     tables = {"segments": session.segments, "reference": session.reference}
     out = times.copy()

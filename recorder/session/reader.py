@@ -149,8 +149,6 @@ def _near(run: RunStreams, name: str, start: int, stop: int) -> Source:
         low, reach = max(low, first // block), 2 * reach
 
 
-# A session.
-
 # Most rows of `frames` in one phase: three days at 1 kHz.
 TICKS_MAX = 1 << 28
 

@@ -108,13 +108,10 @@ def _clipped(stream: Stream) -> Iterator[Finding]:
         varied = len(axes) == 1 or np.ptp(values[at_limit][:, axes], axis=0).any()
         if varied and count >= CLIPPED_TIMES * int((series == following).sum()):
             limit, row = sign * series[at_limit][0], int(at_limit.argmax())
+            units = "N" if axis < 3 else "N m"
             yield Finding(
                 "clipped",
                 f"streams/{stream.name}/value",
-                f"{AXES[axis]} never passes {limit:+.4g} {_units(axis)} and is exactly that in "
+                f"{AXES[axis]} never passes {limit:+.4g} {units} and is exactly that in "
                 f"{count} samples, first row {row}: a limit of its device clips it",
             )
-
-
-def _units(axis: int) -> str:
-    return "N" if axis < 3 else "N m"

@@ -19,6 +19,7 @@ from recorder.store import images
 from recorder.store.files import TEMPORARY
 from recorder.store.journal import Journal, JournalReader, row_time, write_journal
 from recorder.store.layout import ColumnLayout, StreamLayout
+from recorder.store.manifest import stream_groups
 from recorder.store.reader import GrowingReader
 from recorder.store.records import HEADER
 from recorder.store.shard import ColumnLog, OpenShard, scan_partial
@@ -581,8 +582,7 @@ class StreamRecovery:
 
 def recover_streams(path: Path) -> list[StreamRecovery]:
     """Seal every stream and table of a session that was not closed."""
-    groups = sorted(entry.parent for entry in (path / "streams").glob("*/zarr.json"))
-    return [_recover(path, group) for group in (*groups, path / "segments", path / "reference")]
+    return [_recover(path, group) for group in stream_groups(path)]
 
 
 def _recover(session: Path, group: Path) -> StreamRecovery:

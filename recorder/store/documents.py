@@ -251,8 +251,7 @@ def _check_entries(value: Any, entries: _Entries, key: str, where: str) -> None:
 
 def check_rate(rate_hz: object, where: str) -> None:
     """Reject a rate that no device has."""
-    number = isinstance(rate_hz, int | float) and not isinstance(rate_hz, bool)
-    if not number or not 0 < rate_hz <= RATE_MAX_HZ:  # type: ignore[operator]
+    if not _is_number(rate_hz) or not 0 < rate_hz <= RATE_MAX_HZ:  # type: ignore[operator]
         raise SessionError(
             f"{where}: found rate_hz {rate_hz!r:.80}; allowed: above 0 to {RATE_MAX_HZ:g}"
         )

@@ -149,7 +149,7 @@ def write_manifest(session: Path, run: int, root: bytes) -> None:
     # Of shards that no later run may change, the first digest holds.
     shards = {} if before is None else before.fixed
     rows = {}
-    for group in _streams(session):
+    for group in stream_groups(session):
         layout = StreamLayout.load(group)
         rows[str(group.relative_to(session))] = layout.time.rows()
         for column in layout.columns:
@@ -183,7 +183,8 @@ def write_manifest(session: Path, run: int, root: bytes) -> None:
     replace_file(manifest_path(session, run), body[:-3] + own + body[-3:])
 
 
-def _streams(session: Path) -> list[Path]:
+def stream_groups(session: Path) -> list[Path]:
+    """Return the groups of a local session's streams, then of its tables that are streams."""
     groups = sorted(entry.parent for entry in (session / "streams").glob("*/zarr.json"))
     return [*groups, session / "segments", session / "reference"]
 

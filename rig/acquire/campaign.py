@@ -107,12 +107,9 @@ class Campaign:
 
 
 def load_campaign(path: Path, benches: Path) -> Campaign:
-    """Read a campaign file and every bench in it.
+    """Read a campaign file, or the packaged one of that name, and every bench in it.
 
-    Args:
-        path: YAML with `out`, `operator` (both optional) and `sessions`, a list of entries; or the
-            name of the packaged one, `campaigns/day.yaml`.
-        benches: Folder of bench files; packaged ones are found without it.
+    Benches are searched in the folder `benches`, then among the packaged ones.
     """
     file = build(CampaignFile, read_yaml(packaged(path, CAMPAIGNS)), str(path))
     times: Counter[str] = Counter()

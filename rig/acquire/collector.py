@@ -36,13 +36,7 @@ from rig.acquire.calibration.store import Calibration
 from rig.acquire.completed import first_open_target, left_out_of
 from rig.acquire.control import Control, Interlocks, Interrupted, InterruptFlag, Onlooker
 from rig.acquire.plan_runner import LiveLine, PlanRunner, last_line, rise_clear, zero_stand_ins
-from rig.acquire.streams import (
-    Streams,
-    check_clear,
-    check_devices,
-    notes_on,
-    take_tares,
-)
+from rig.acquire.streams import Streams, check_clear, check_devices, notes_on, take_tares
 from rig.bench.bench import Bench
 from rig.bench.guards import (
     force_limit,
@@ -185,14 +179,11 @@ def _resumed(path: Path, bench: Bench) -> tuple[Plan, int]:
 
 
 class Collector:
-    """Collects one session, or resumes one.
+    """Collects one session, or resumes one, on a bench whose addresses are filled in.
 
-    Args:
-        bench: The bench, with addresses filled in.
-        content: Content of its file, stored in the session.
-        folder: Run folder for shared records.
-        watch: Raises if a backend of the devices is gone, such as a mock bench's World.
-        page: Monitoring page that displays the progress; None: no page.
+    `content` is that of its file, stored in the session; shared records are in `folder`. `watch`
+    raises if a backend of the devices is gone, such as a mock bench's World; `page` displays the
+    progress.
     """
 
     def __init__(
@@ -338,20 +329,10 @@ class Collector:
         return arm
 
     def _open_session(
-        self,
-        request: CollectRequest,
-        entry: dict[str, Any],
-        tares: Mapping[str, Mapping[str, Any]],
+        self, request: CollectRequest, entry: dict[str, Any], tares: Mapping[str, Mapping[str, Any]]
     ) -> tuple[SessionWriter, int, int]:
-        """Return the session's writer, the first target to press and the number of this run.
-
-        `entry` describes the run.
-        """
-        begun = {
-            **asdict(ClockAnchor.take()),
-            "operator": operator_name(request.operator),
-            **entry,
-        }
+        """Return the writer, the first target to press and the number of the run of this entry."""
+        begun = {**asdict(ClockAnchor.take()), "operator": operator_name(request.operator), **entry}
         if request.resume:
             writer = SessionWriter.resume(request.path)
             previous = Session(request.path)

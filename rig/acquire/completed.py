@@ -15,10 +15,7 @@ _FORCE_LIMITED = OUTCOMES.index("force_limited")
 def first_open_target(
     plan: Plan, segments: Mapping[str, np.ndarray], total: int, left_out: Container[int] = ()
 ) -> int:
-    """Return the index of the first of `total` targets that is open; `total` if none is.
-
-    Those that are `left_out` are not pressed.
-    """
+    """Return the index of the first of `total` targets to press that is open, `total` if none."""
     done = finished_targets(plan, segments, total)
     open_targets = (n for n in range(total) if n not in done and n not in left_out)
     return next(open_targets, total)

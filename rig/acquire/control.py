@@ -12,6 +12,7 @@ import stat
 import sys
 import threading
 from collections.abc import Callable, Mapping
+from functools import partial
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import FrameType
@@ -20,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from recorder.command_line.errors import EXIT_INTERRUPTED, CommandError, failure
 from rig.bench.bench import Bench
 from rig.core.clock import Clock
-from rig.core.errors import ConfigError, DeviceLost, SafetyStop, combined
+from rig.core.errors import DeviceLost, SafetyStop, all_opened
 from rig.devices.hid.settings import PedalConfig
 
 if TYPE_CHECKING:
@@ -194,19 +195,12 @@ class Onlooker(Protocol):
     """Display of a running collection that may pause or end it, such as the monitoring page."""
 
     def begin(
-        self,
-        control: Control,
-        progress: Callable[[], Mapping[str, Any]],
-        session: Path,
-        first: int,
+        self, control: Control, progress: Callable[[], Mapping[str, Any]], session: Path, first: int
     ) -> None:
-        """Show a running collection.
+        """Show a running collection, whose first target is `first`; send requests to `control`.
 
-        Args:
-            control: Receives the requests.
-            progress: Returns the progress, as `LiveLine.progress`; may be called in any thread.
-            session: Path of its session, which has the outcomes of targets before `first`.
-            first: First target of this run.
+        `progress` returns that of `LiveLine.progress`, in any thread. The session at this path has
+        the outcomes of the targets before.
         """
 
     def say(self, status: str, reason: str = "") -> None:
@@ -227,10 +221,7 @@ class DeadManReleased(Exception):
 
 
 class Interlocks:
-    """Interlocks of a bench, its gripper and its pedal, if any; a context manager.
-
-    A pedal of mode `pause` pauses `control`.
-    """
+    """Gripper and pedal of a bench, if any; a pedal of mode `pause` pauses `control`."""
 
     def __init__(self, bench: Bench, control: Control, clock: Clock) -> None:
         self._timeout = bench.preflight.timeout
@@ -249,13 +240,10 @@ class Interlocks:
 
             self._grip = GripWatch(bench.gripper, clock, self._tell)
         if bench.pedal is not None:
-            from rig.devices.hid.drivers import PedalWatch
+            from rig.devices.hid.drivers import DeadMan, PedalWatch
 
             self._pedal = PedalWatch(bench.pedal, clock, self._on_pedal)
-            if bench.pedal.mode == "dead_man":
-                from rig.devices.hid.drivers import DeadMan
-
-                self._dead_man = DeadMan()
+            self._dead_man = DeadMan() if bench.pedal.mode == "dead_man" else None
 
     def __enter__(self) -> Interlocks:
         return self
@@ -265,27 +253,15 @@ class Interlocks:
 
     def open(self) -> dict[str, dict[str, Any]]:
         """Connect to all devices, start watching, and return their properties by device."""
-        description: dict[str, dict[str, Any]] = {}
-        failures: list[Exception] = []
+        opens: dict[str, Callable[[], dict[str, Any]]] = {}
         if self._grip is not None:
-            try:
-                description["gripper"] = self._grip.open(self._timeout)
-            except (ConfigError, DeviceLost) as error:
-                failures.append(error)
+            opens["gripper"] = partial(self._grip.open, self._timeout)
         if self._pedal is not None:
-            try:
-                description["pedal"] = self._pedal.open()
-            except (ConfigError, DeviceLost) as error:
-                failures.append(error)
-        if failures:
-            raise combined(failures)
-        return description
+            opens["pedal"] = self._pedal.open
+        return all_opened(opens)
 
     def check(self, *, pressing: bool = False) -> None:
-        """Raise if an interlock forbids continuing.
-
-        If the arm presses, or is about to, a dead-man pedal must be held.
-        """
+        """Raise if an interlock forbids it; while pressing, a dead-man pedal must be held."""
         with contextlib.suppress(BlockingIOError):
             while self.wake.recv(64):
                 pass

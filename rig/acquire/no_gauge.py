@@ -49,10 +49,7 @@ UNEVEN_MAX = 0.15e-3
 
 
 def search_depth(bench: Bench) -> float:
-    """Return how far below the stated surface to search [m].
-
-    It is never beyond half the rating, nor beyond the bench's depth limit.
-    """
+    """Return how far below the stated surface to search [m]: within depth limit and half rating."""
     deepest = bench.expected.depth_of(force_limit(bench))[1]
     return min(SEARCH_BELOW, bench.limits.depth_max, deepest)
 
@@ -132,10 +129,7 @@ def check_surface(found: TouchedSurface, shift: float) -> None:
 
 
 def check_home(bench: Bench, calibration: Calibration, hint: str) -> None:
-    """Reject a surface that is missing, old or not known well enough, before anything moves.
-
-    `hint` is the command that measures it.
-    """
+    """Reject a surface that is missing, old or not known well enough; `hint` measures it."""
     home = calibration.home
     if home is None:
         raise ConfigError(
@@ -186,14 +180,10 @@ class Record(Protocol):
         contact_change: float = math.inf,
         after_target: Callable[[Target, Session], None] | None = None,
     ) -> Session:
-        """Press `plan` and return the session.
+        """Press `plan` on the bench that `prepared` returns, and return the session.
 
-        Args:
-            what: Part of the session's name: search, home, first-press.
-            plan: Targets to press.
-            prepared: Returns the bench as it is used.
-            contact_change: Change of the signal that ends a press, in standard deviations.
-            after_target: Called after each target, with the session that is still recorded.
+        `what` is part of its name: search, home, first-press. A press ends at this change of the
+        signal, in standard deviations. `after_target` is called with each target and the session.
 
         Raises:
             StageStopped: The session was stopped.
@@ -214,13 +204,8 @@ def prepare(
     bench asks nothing, and finds its surface now unless `tactile home` or `tactile setup` has found
     that of the same bench file and indenter as lately as a lab's must be.
 
-    Args:
-        file: The bench as its file describes it.
-        calibrations: Folder of the calibrations.
-        calibration: Earlier calibration of the sensor.
-        depth: Deepest indentation of the plan [m].
-        record: Records a stage.
-        ask: Called with the lines to show after each step of the first press; raises to stop.
+    The plan's deepest indentation is `depth` [m]. `ask` is called with the lines to show after each
+    step of the first press, and raises to stop.
     """
     bench = file.bench
     if bench.mock and not _is_found(file, calibration):
@@ -277,10 +262,7 @@ def press_in_steps(
     record: Record,
     ask: Callable[[list[str]], None],
 ) -> FirstPressRecord:
-    """Press the sensor for the first time, in steps to `depth` [m], and return the record of it.
-
-    `ask` is called with the lines to show after each step, and raises to stop.
-    """
+    """Press for the first time, in steps to `depth` [m], and return the record; see `prepare`."""
     plan = FirstPress(depth)
     largest: list[float] = []
 

@@ -23,7 +23,7 @@ from recorder.session import SessionWriter
 from recorder.spec import OUTCOMES, frame_columns, reference_spec
 from rig.acquire.control import DeadManReleased, Interlocks
 from rig.acquire.streams import Streams, check_no_contact, no_mean, tip_position
-from rig.bench.bench import KINDS
+from rig.bench.bench import AVERAGED
 from rig.core.clock import SECOND_NS
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.guard import Mode
@@ -58,10 +58,7 @@ class LiveLine:
         self._streams = streams
         self._clock = streams.clock
         self._line = PacedLine(
-            out or sys.stdout,
-            _ON_TERMINAL_NS,
-            _IN_LOG_NS,
-            partial(logger.info, "%s"),
+            out or sys.stdout, _ON_TERMINAL_NS, _IN_LOG_NS, partial(logger.info, "%s")
         )
         self._planned = planned
         order = range(len(planned)) if pressing is None else pressing
@@ -226,19 +223,12 @@ def rise_clear(streams: Streams, arm: Arm, interlocks: Interlocks) -> None:
 
 
 class PlanRunner:
-    """Presses the targets of a plan, starting at a given one.
+    """Presses the targets of a plan.
 
-    Args:
-        streams: Recording.
-        arm: The arm, started, its tip inside the box and clear of the surface.
-        interlocks: Interlocks, checked while the arm moves; their control is checked after every
-            row, and for pauses before every target.
-        writer: The session.
-        live: The progress line.
-        plan: The plan, which has the moves of each target.
-        after_target: Called after each target, with the tip clear of the surface.
-        run: Number of this run.
-        zeros: Reading of each F/T sensor without contact after the tare (6,) [N, N m], by stream.
+    The arm is started, its tip inside the box and clear of the surface. The interlocks are checked
+    while it moves; their control is checked after every row, and for pauses before every target.
+    `after_target` is called with the tip clear of the surface. `zeros` are the readings of the F/T
+    sensors without contact after the tare (6,) [N, N m], by stream.
     """
 
     def __init__(
@@ -373,7 +363,7 @@ class PlanRunner:
     def _zero(self, point: int) -> dict[str, dict[str, Any]]:
         """Return the streams' means above a point, and set the zero of guards that stand in."""
         self._check_signal(point)
-        averaged = [row.name for row in self._bench.rows if KINDS[row.kind].averaged]
+        averaged = [row.name for row in self._bench.rows if row.kind in AVERAGED]
         if self._bench.no_gauge and not averaged:
             # The pose paces the wait for images without contact.
             averaged = ["pose"]
@@ -481,10 +471,7 @@ class PlanRunner:
 
 
 def zero_stand_ins(streams: Streams, measured: Mapping[str, Mapping[str, Any]]) -> None:
-    """Tell the guards that stand in for an F/T sensor that nothing touches the sensor now.
-
-    `measured` has the mean of the streams that have one, by name.
-    """
+    """Zero the guards that stand in for an F/T sensor, by the streams' means without contact."""
     bench = streams.bench
     if not bench.no_gauge:
         return
@@ -499,10 +486,7 @@ def zero_stand_ins(streams: Streams, measured: Mapping[str, Mapping[str, Any]]) 
 def reference_columns(
     streams: Streams, measured: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Return the columns of `reference` that come from the streams; NaN or -1 without them.
-
-    `measured` has mean and standard deviation of the streams that have them, by name.
-    """
+    """Return the columns of `reference` by mean and std of streams; NaN or -1 without them."""
     bench = streams.bench
     specs = [row.empty_spec() for row in bench.rows]
     columns = {column.name: column for column in reference_spec(specs).columns[1:-2]}

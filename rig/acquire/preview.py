@@ -91,11 +91,7 @@ def _mapping(
 
 
 def _draw_top(
-    canvas: ImageDraw.ImageDraw,
-    bench: Bench,
-    targets: list[Target],
-    colours: Colours,
-    font: Font,
+    canvas: ImageDraw.ImageDraw, bench: Bench, targets: list[Target], colours: Colours, font: Font
 ) -> None:
     box_x, box_y = bench.limits.box_x, bench.limits.box_y
     margin = 0.08 * (box_x[1] - box_x[0])
@@ -127,11 +123,7 @@ def _draw_top(
 
 
 def _draw_side(
-    canvas: ImageDraw.ImageDraw,
-    bench: Bench,
-    targets: list[Target],
-    colours: Colours,
-    font: Font,
+    canvas: ImageDraw.ImageDraw, bench: Bench, targets: list[Target], colours: Colours, font: Font
 ) -> None:
     deepest = max(target.depth for target in targets)
     reach = max(math.dist(target.bottom, target.sheared) for target in targets) or deepest

@@ -31,8 +31,6 @@ from rig.devices.arm.reader import RtdeLink
 from trajectories import Point
 
 GRAVITY = 9.81
-# Oldest PolyScope that says over the network if remote control is on.
-OLDEST = (5, 6)
 # Largest difference of lengths [m], masses [kg], and forces at a free tool [N], which a UR e-Series
 # knows to about 4 N along each axis.
 LENGTH, MASS, FREE = 1e-3, 0.05, 7.5
@@ -158,9 +156,9 @@ def arm(host: str, timeout: float) -> Iterator[Finding]:
     parts = (int(number[1]), int(number[2])) if number else (0, 0)
     yield _finding(
         "software",
-        parts >= OLDEST,
+        parts >= dashboard.OLDEST,
         version,
-        f"update PolyScope to {OLDEST[0]}.{OLDEST[1]} or newer (Settings > System > Update)",
+        f"update PolyScope to {dashboard.UPDATE}",
     )
     yield _finding(
         "remote",
@@ -259,25 +257,21 @@ def weight(row: BenchStream, change: np.ndarray, mass: float) -> Finding:
     )
     size, down = float(np.linalg.norm(change)), float(change[2])
     if size < FELT * expected:
-        return Finding(
+        return _finding(
             name,
-            "FAULT",
+            False,
             f"{text}: nothing",
-            (
-                "is the weight on the sensor, and does the gauge carry the sensor?",
-                f"is this the gauge? {row.key} may be the address or port of another device",
-            ),
+            "is the weight on the sensor, and does the gauge carry the sensor?",
+            f"is this the gauge? {row.key} may be the address or port of another device",
         )
     if abs(down) < 0.7 * size:
         axis = measured[int(np.argmax(np.abs(change)))]
-        return Finding(
+        return _finding(
             name,
-            "FAULT",
+            False,
             f"{text}: along {axis}",
-            (
-                "order of the gauge's channels or cables, then its mounting: z of the gauge must "
-                "be along z of the contact frame",
-            ),
+            "order of the gauge's channels or cables, then its mounting: z of the gauge must be "
+            "along z of the contact frame",
         )
     wrong, cures = [], []
     if down > 0:
@@ -320,12 +314,8 @@ def axes(
 ) -> Finding:
     """Return the finding of pushes along +x and +y, by the changes (2,) that a stream showed.
 
-    Args:
-        row: The stream.
-        along_x: Change by a push along +x, as of `direction`.
-        along_y: Change by a push along +y.
-        still: Largest change while a finger was held still.
-        expected: Force that is expected of the finger [N].
+    The changes are those of `direction`, `still` the largest one while a finger was held still.
+    The force that is expected of the finger is in [N].
     """
     name = f"{row.name} axes"
     state: State = "FAULT" if row.kind == "force" else "note"

@@ -10,7 +10,6 @@ from __future__ import annotations
 import logging
 import signal
 from collections import deque
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +18,7 @@ import numpy as np
 
 from recorder.errors import SessionError
 from recorder.session import StreamWriter
-from rig.bench.bench import KINDS, Bench
+from rig.bench.bench import AVERAGED, Bench
 from rig.core.clock import SECOND_NS, Clock, SystemClock
 from rig.core.driver import Driver
 from rig.core.errors import ConfigError, DeviceLost
@@ -51,18 +50,6 @@ COUNTERS = np.dtype(
 # Longest delay of a command from the parent while the device is silent [s].
 _READ_TIMEOUT = 0.05
 _COUNTERS_EVERY_NS = SECOND_NS // 20
-
-
-@dataclass(frozen=True, slots=True)
-class StreamJob:
-    """Arguments of a stream's process."""
-
-    name: str
-    """Name of the stream."""
-    bench: Bench
-    """The bench, with addresses filled in."""
-    folder: Path
-    """Folder that holds `<name>.latest` and `<name>.counters`."""
 
 
 class _Measurement:
@@ -99,29 +86,27 @@ class _Measurement:
 
 
 class _StreamLoop:
-    """State of the running process."""
+    """State of the running process of a stream, with shared records in `folder`."""
 
-    def __init__(self, job: StreamJob, pipe: Connection, driver: Driver, clock: Clock) -> None:
-        row = job.bench.row(job.name)
-        self._kind = KINDS[row.kind]
+    def __init__(
+        self, name: str, bench: Bench, folder: Path, pipe: Connection, driver: Driver, clock: Clock
+    ) -> None:
+        row = bench.row(name)
+        self._averaged = row.kind in AVERAGED
         self._pipe = pipe
         self._driver = driver
         self._clock = clock
-        self._latest = SharedLatest.attach(
-            job.folder / f"{job.name}.latest", row.latest, writable=True
-        )
-        self._counters = SharedLatest.attach(
-            job.folder / f"{job.name}.counters", COUNTERS, writable=True
-        )
+        self._latest = SharedLatest.attach(folder / f"{name}.latest", row.latest, writable=True)
+        self._counters = SharedLatest.attach(folder / f"{name}.counters", COUNTERS, writable=True)
+        self._fields = row.latest.names or ()
         self._level: SignalLevel | None = None
-        signal = job.bench.signal
-        if job.bench.no_gauge and signal is not None and signal.name == job.name:
+        signal = bench.signal
+        if bench.no_gauge and signal is not None and signal.name == name:
             from rig.acquire.signal_level import SignalLevel
 
             self._level = SignalLevel(is_image=signal.kind == "camera")
-            self._signal = SharedLatest.attach(
-                job.folder / f"{job.name}.signal", SIGNAL_LATEST, writable=True
-            )
+            path = folder / f"{name}.signal"
+            self._signal = SharedLatest.attach(path, SIGNAL_LATEST, writable=True)
         self._fresh_ns = 0
         self._zero: np.ndarray | None = None
         self._sweeper = Sweeper()
@@ -157,7 +142,7 @@ class _StreamLoop:
                 self._measurement = None
 
     def _on_measure(self, seconds: float) -> None:
-        self._measurement = _Measurement(self._kind.averaged, self._clock.now_ns(), seconds)
+        self._measurement = _Measurement(self._averaged, self._clock.now_ns(), seconds)
 
     def _on_bias(self, bias: list[float]) -> None:
         self._bias = np.array(bias)
@@ -191,10 +176,10 @@ class _StreamLoop:
                 gap = (sample["t_ns"] - self._last_ns) / SECOND_NS
                 self._longest_gap = max(self._longest_gap, gap)
         # The zero is for the guards alone: what is stored and averaged is as the device sent it.
-        guarded = sample
+        guarded = {"status": 0, **sample, "row": row}
         if self._zero is not None:
-            guarded = {**sample, "value": sample["value"] - self._zero}
-        self._latest.write(self._kind.record(guarded, row))
+            guarded["value"] = sample["value"] - self._zero
+        self._latest.write(tuple(guarded[name] for name in self._fields))
         if self._level is not None:
             level = self._level.add(sample)
             self._fresh_ns = sample["t_ns"] if level.fresh else self._fresh_ns
@@ -236,8 +221,8 @@ class _StreamLoop:
         return summary
 
 
-def run_stream(job: StreamJob, pipe: Connection) -> None:
-    """Run the process; `pipe` is its end of the connection."""
+def run_stream(name: str, bench: Bench, folder: Path, pipe: Connection) -> None:
+    """Run the process of a stream of a bench with addresses; `pipe` is its end."""
     # Ctrl-C and a closed terminal are handled by the parent, which closes all streams in order.
     for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
@@ -246,21 +231,21 @@ def run_stream(job: StreamJob, pipe: Connection) -> None:
     loop: _StreamLoop | None = None
     driver: Driver | None = None
     try:
-        driver = job.bench.row(job.name).driver(clock)
-        driver.open(job.bench.preflight.timeout)
-        loop = _StreamLoop(job, pipe, driver, clock)
+        driver = bench.row(name).driver(clock)
+        driver.open(bench.preflight.timeout)
+        loop = _StreamLoop(name, bench, folder, pipe, driver, clock)
         pipe.send(("opened", {**driver.describe(), "granted": granted}))
         loop.run()
     except (EOFError, BrokenPipeError, ConnectionResetError):
-        logger.warning("%s: the collecting process is gone; sealing and ending", job.name)
+        logger.warning("%s: the collecting process is gone; sealing and ending", name)
     except (ConfigError, DeviceLost, SessionError, OSError) as error:
-        _report(pipe, job.name, error)
+        _report(pipe, name, error)
     finally:
         if loop is not None:
             try:
                 loop.close()
             except (SessionError, OSError) as error:
-                _report(pipe, job.name, error)
+                _report(pipe, name, error)
         if driver is not None:
             driver.close()
         pipe.close()

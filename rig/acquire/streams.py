@@ -12,10 +12,10 @@ import numpy as np
 from recorder.command_line.options import next_command
 from recorder.errors import SessionError
 from rig.acquire.control import Interlocks
-from rig.acquire.stream_process import COUNTERS, StreamJob, run_stream
+from rig.acquire.stream_process import COUNTERS, run_stream
 from rig.bench.bench import Bench, BenchStream
 from rig.core.clock import SECOND_NS, Clock
-from rig.core.errors import ConfigError, DeviceLost, SafetyStop, combined
+from rig.core.errors import ConfigError, DeviceLost, SafetyStop, all_opened
 from rig.core.samples import SIGNAL_LATEST
 from rig.core.shared_memory import SLOTS, SharedLatest
 from trajectories import Point
@@ -45,9 +45,9 @@ class StreamHandle:
             self._signal = SharedLatest.create(folder / f"{name}.signal", SIGNAL_LATEST, slots)
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        job = StreamJob(name, bench, folder)
+        arguments = (name, bench, folder, theirs)
         self._process = context.Process(
-            target=run_stream, args=(job, theirs), name=f"stream-{name}", daemon=False
+            target=run_stream, args=arguments, name=f"stream-{name}", daemon=False
         )
         self._process.start()
         theirs.close()
@@ -221,16 +221,7 @@ class Streams:
 
     def wait_opened(self) -> dict[str, dict[str, Any]]:
         """Wait until all drivers are open and return the properties of their devices by stream."""
-        properties: dict[str, dict[str, Any]] = {}
-        failures: list[Exception] = []
-        for handle in self:
-            try:
-                properties[handle.name] = handle.wait_opened()
-            except (ConfigError, DeviceLost, SessionError) as error:
-                failures.append(error)
-        if failures:
-            raise combined(failures)
-        return properties
+        return all_opened({handle.name: handle.wait_opened for handle in self})
 
     def measure(self, seconds: float, *names: str) -> dict[str, dict[str, Any]]:
         """Measure rate, mean and spread of the named streams (default: all) in one time window."""
@@ -314,16 +305,11 @@ def check_devices(
 ) -> tuple[dict[str, dict[str, Any]], dict[str, float]]:
     """Open every device; return `Driver.describe()` and the measured rate [Hz] of each."""
     bench = streams.bench
-    description: dict[str, dict[str, Any]] = {}
-    failures: list[Exception] = []
+    opens = {"streams": streams.wait_opened}
+    if interlocks is not None:
+        opens["interlocks"] = interlocks.open
     # All are tried, so that a bench with nothing attached is one message and not one per start.
-    for opened in (streams.wait_opened, *(() if interlocks is None else (interlocks.open,))):
-        try:
-            description |= opened()
-        except (ConfigError, DeviceLost) as error:
-            failures.append(error)
-    if failures:
-        raise combined(failures)
+    description = {name: each for part in all_opened(opens).values() for name, each in part.items()}
     rates: dict[str, float] = {}
     window = rate_window(bench, min(row.rate_hz for row in bench.rows))
     for name, measured in streams.measure(window).items():

@@ -154,50 +154,17 @@ class Preflight:
 # Streams: their drivers, columns on disk, and records of the newest sample.
 
 
-@dataclass(frozen=True, slots=True)
-class StreamKind:
-    """One row of the table below."""
-
-    spec: Callable[..., StreamSpec]
-    """Returns its storage, given its rate [Hz]."""
-    record: Callable[[dict[str, Any], int], tuple[Any, ...]]
-    """Builds that record from a sample's columns and row (-1 while nothing is recorded)."""
-    averaged: bool
-    """True if a mean of its values is meaningful (a tare, a reference)."""
-
-
-# By the names of `recorder.spec.KINDS`. A driver may return more columns than are stored, for the
-# guard.
-KINDS = {
-    "force": StreamKind(
-        force_spec,
-        lambda sample, row: (sample["t_ns"], sample["status"], sample["value"]),
-        True,
-    ),
-    "pose": StreamKind(
-        pose_spec,
-        lambda sample, row: (
-            sample["t_ns"],
-            sample["device_t"],
-            sample["safety_status"],
-            sample["runtime_state"],
-            sample["speed_scaling"],
-            sample["value"],
-        ),
-        False,
-    ),
-    "arm_wrench": StreamKind(
-        arm_wrench_spec,
-        lambda sample, row: (sample["t_ns"], 0, sample["value"]),
-        True,
-    ),
-    "camera": StreamKind(camera_spec, lambda sample, row: (sample["t_ns"], row), False),
-    "taxels": StreamKind(
-        taxels_spec,
-        lambda sample, row: (sample["t_ns"], sample["value"]),
-        True,
-    ),
+# Functions of a rate [Hz] that return the storage of a stream, by the names of
+# `recorder.spec.KINDS`. A driver may return more columns than are stored, for the guard.
+SPECS: dict[str, Callable[..., StreamSpec]] = {
+    "force": force_spec,
+    "pose": pose_spec,
+    "arm_wrench": arm_wrench_spec,
+    "camera": camera_spec,
+    "taxels": taxels_spec,
 }
+# Kinds of streams of whose values a mean is meaningful (a tare, a reference).
+AVERAGED = ("force", "arm_wrench", "taxels")
 
 _READING = Column(
     "reading", "float64", units="N", description="Fz as read, also while it has not settled"
@@ -261,7 +228,7 @@ class BenchStream:
 
     def empty_spec(self) -> StreamSpec:
         """Return its storage as far as it is known before its device is open."""
-        return KINDS[self.kind].spec(self.rate_hz, name=self.name, **self.shape, **self.uses)
+        return SPECS[self.kind](self.rate_hz, name=self.name, **self.shape, **self.uses)
 
     def spec(self, description: dict[str, Any], rate_hz: float, **attrs: Any) -> StreamSpec:
         """Return its storage, with `Driver.describe()` of its opened driver and further attrs."""
@@ -279,7 +246,7 @@ class BenchStream:
                 **self.config.attrs(description),
                 **attrs,
             }
-        make = KINDS[self.kind].spec
+        make = SPECS[self.kind]
         spec = make(rate_hz, name=self.name, device=description, **self.shape, **attrs)
         if description.get("settles"):
             # Readings that have not settled are no values of the force, but are kept beside them.

@@ -72,12 +72,9 @@ class ExpectedForce:
 
 @cache
 def expected_force(skin: Skin, indenter: str, *, exact: bool) -> ExpectedForce:
-    """Return the force of an indenter on a skin.
+    """Return the force on a skin of the indenter of that name, see `rig.bench.indenter`.
 
-    Args:
-        skin: The skin.
-        indenter: Name of the paper's or the lab's own, see `rig.bench.indenter`.
-        exact: The skin is that of its row if no modulus is stated: a mock bench's.
+    Without a stated modulus, an exact skin, a mock bench's, has that of its row.
 
     Raises:
         ConfigError: Row or indenter cannot be used.

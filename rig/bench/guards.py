@@ -127,11 +127,7 @@ def left_out(bench: Bench, plan: Plan, depths: Sequence[float]) -> dict[int, flo
 
     With a gauge, even the least expected force of these is beyond the soft limit. Without one, the
     largest is beyond half of the sensor's rating. Touches end by their force, whatever their depth.
-
-    Args:
-        bench: The bench, with the indenter on its arm.
-        plan: The plan.
-        depths: Deepest indentation of each target [m].
+    The deepest indentations of the targets are `depths` [m].
     """
     if isinstance(plan, Touch):
         return {}
@@ -169,11 +165,7 @@ def force_text(bench: Bench, depth: float) -> str:
 def gentle(bench: Bench, reaction: float) -> Bench:
     """Return the bench with presses that stay below the hard limit while the arm reacts.
 
-    Speed <= (hard limit - soft limit) / (stiffness x reaction), and at least `SLOWEST`.
-
-    Args:
-        bench: The bench, with the indenter on its arm.
-        reaction: Time from a force at the soft limit to an arm at rest [s].
+    Speed <= (hard limit - soft limit) / (stiffness x reaction [s]), and at least `SLOWEST`.
     """
     if bench.no_gauge:
         return bench

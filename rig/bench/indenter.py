@@ -95,10 +95,7 @@ def indenter_names(folder: Path = OWN) -> list[str]:
 
 
 def find_indenter(name: str, where: str = "--indenter", folder: Path = OWN) -> Indenter:
-    """Return the indenter of that name; those of the lab's folder have precedence.
-
-    Errors name the option or key `where` the name was given.
-    """
+    """Return the indenter of that name, the lab's own first; errors name `where` it was given."""
     name = name.removesuffix(".yaml").removesuffix(".stl")
     for path in (folder / f"{name}.yaml", folder / f"{name}.stl"):
         if path.is_file():

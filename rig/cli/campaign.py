@@ -56,10 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def record_entry(progress: Progress, operator: str, calibrations: Path, world: str | None) -> int:
-    """Record or resume an entry of a campaign; return the exit code.
-
-    With the world `sim`, mock benches simulate the contact.
-    """
+    """Record or resume an entry of a campaign, a mock's in this world; return the exit code."""
     item, entry = progress.item, progress.item.entry
     resumed = progress.session if progress.state == "to resume" else None
     file = bench_file(item.bench_path, world=world, resume=resumed)
@@ -116,20 +113,13 @@ def run_campaign(
 ) -> int:
     """Record all unfinished sessions and return the exit code.
 
-    A technician is asked to mount each sensor and indenter. With `swap` and a gripper on the bench
-    there is no question about the indenter: the gripper detects it.
+    A technician is asked to mount each sensor and indenter; False of `ask` ends the campaign. With
+    `swap` and a gripper on the bench there is no question about the indenter: `swap` waits until
+    the gripper holds it, or raises DeviceLost.
 
     Exit code 0: all is done. Otherwise it is that of the session that ended the campaign, or with
     `keep_going` of the first session that failed. Ctrl-C ends the current session in order, and the
-    campaign.
-
-    Args:
-        campaign: The campaign.
-        record: Records or resumes an entry, and returns the exit code.
-        ask: Shows a question and waits; False ends the campaign.
-        swap: Waits until the gripper of an item's bench holds its indenter; raises DeviceLost.
-        keep_going: Continue with the next entry after a lost device or a safety stop.
-        go_on: Command that continues the campaign, shown if something is left; empty: none.
+    campaign. The command `go_on` continues it, and is shown if something is left.
     """
     campaign.out.mkdir(parents=True, exist_ok=True)
     failed = EXIT_DONE

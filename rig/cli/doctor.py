@@ -6,15 +6,11 @@ import tempfile
 from pathlib import Path
 
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
+from recorder.command_line.options import add_value
 from recorder.command_line.terminal import State, paint, wrapped
 from rig.acquire.calibration import store
 from rig.acquire.doctor import Finding, examine
-from rig.cli.options import (
-    bench_command,
-    bench_options,
-    calibration_options,
-    chosen_bench,
-)
+from rig.cli.options import bench_command, bench_options, calibration_options, chosen_bench
 from rig.cli.recording import started_bench
 from rig.core.clock import SystemClock
 
@@ -33,13 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "emulators. Exit code 0 if there is no fault, 2 wrong input, 3 a fault."
     )
     parser.epilog = "Example: tactile doctor --sensor tacpalm"
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=SESSIONS,
-        metavar="DIR",
-        help="folder of sessions, whose disk is tested, and of the plan's picture (%(default)s)",
-    )
+    about = "folder of sessions, whose disk is tested, and of the plan's picture"
+    add_value(parser, "--out", "DIR", SESSIONS, about, Path)
     calibration_options(parser)
 
 
@@ -52,10 +43,7 @@ def run(options: argparse.Namespace) -> int:
     print(f"{kind} {file.path}: {', '.join(parts)}; nothing moves", flush=True)
     logging.getLogger("rig").setLevel(logging.ERROR)
     faults = 0
-    with (
-        tempfile.TemporaryDirectory(prefix="tactile-rig-") as folder,
-        started_bench(file) as on,
-    ):
+    with tempfile.TemporaryDirectory(prefix="tactile-rig-") as folder, started_bench(file) as on:
         for finding in examine(on.file.bench, Path(folder), options.out, SystemClock(), on.watch):
             faults += finding.state == "FAULT"
             show(finding)

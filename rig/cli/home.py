@@ -92,10 +92,7 @@ def find_by_force(
 
 
 def find_by_signal(recording: Recording) -> int:
-    """Find and store the surface without a gauge; return the exit code.
-
-    `out` is then the folder of the stages' sessions.
-    """
+    """Find and store the surface without a gauge, by sessions in `out`; return the exit code."""
     from rig.acquire import no_gauge
 
     if not recording.bench.mock:

@@ -12,8 +12,8 @@ import logging
 import sys
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from rig.cli.recording import started_bench
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.config import from_si
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop
+from rig.core.paced_line import PacedLine
 from rig.devices.arm.arm import Arm, MoveResult
 from rig.devices.hid.drivers import Cap, SpaceMouseDriver
 from rig.devices.hid.reports import Axes
@@ -43,7 +44,6 @@ TAKE = 0
 _CHANGED = 0.15
 # Shortest move [m]; the arm takes a shorter one as already completed.
 _SHORTEST = 2e-4
-_SHOW_NS = {True: SECOND_NS // 5, False: 5 * SECOND_NS}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -156,7 +156,6 @@ class Jog:
         check: Callable[[], None],
         *,
         speed_max: float,
-        out: TextIO | None = None,
     ) -> None:
         self._streams = streams
         self._bench = streams.bench
@@ -164,8 +163,8 @@ class Jog:
         self._mouse = mouse
         self._check_operator = check
         self._speed_max = speed_max
-        self._out = out or sys.stdout
-        self._due_ns = 0
+        elsewhere = partial(print, flush=True)
+        self._line = PacedLine(sys.stdout, SECOND_NS // 5, 5 * SECOND_NS, elsewhere)
         self._pressed: frozenset[int] = frozenset()
         self._loaded = False
 
@@ -175,7 +174,7 @@ class Jog:
         while True:
             cap = self._look(0.02)
             if TAKE in self._pressed:
-                self._end_line()
+                self._line.end()
                 return tip_position(self._streams)
             self._pressed = frozenset()
             self._arm.check()
@@ -209,7 +208,7 @@ class Jog:
         if result.outcome == "stopped":
             raise DeviceLost(f"arm: {result.reason}")
         if result.outcome == "force_limited":
-            self._end_line()
+            self._line.end()
             logger.warning("%s: only straight up from here", result.reason)
         self._loaded = result.outcome == "force_limited"
 
@@ -229,20 +228,10 @@ class Jog:
         return cap
 
     def _show(self) -> None:
-        now_ns = self._streams.clock.now_ns()
-        if now_ns < self._due_ns:
-            return
-        terminal = self._out.isatty()
-        self._due_ns = now_ns + _SHOW_NS[terminal]
-        x, y, z = (from_si(value, "mm") for value in tip_position(self._streams))
-        felt = self._streams.pressing()
-        text = f"tip x {x:+8.3f}  y {y:+8.3f}  z {z:+8.3f} mm  {felt}"
-        self._out.write(f"\r{text}\x1b[K" if terminal else f"{text}\n")
-        self._out.flush()
-
-    def _end_line(self) -> None:
-        if self._out.isatty():
-            self._out.write("\n")
+        if self._line.is_due(self._streams.clock.now_ns()):
+            x, y, z = (from_si(value, "mm") for value in tip_position(self._streams))
+            tip = f"tip x {x:+8.3f}  y {y:+8.3f}  z {z:+8.3f} mm"
+            self._line.show(tip, self._streams.pressing())
 
 
 def retract(arm: Arm) -> bool:

@@ -100,13 +100,13 @@ def run(options: argparse.Namespace) -> int:
         # Load the model first: an emulator would be late if it had to wait for it.
         predictor = open_predictor(
             options.model,
-            before=options.before,
-            runtime=options.runtime,
             sensor=source.sensor,
-            preset=options.preset,
             signal=source.signal,
             description=source.description,
             depth=source.depth,
+            before=options.before,
+            runtime=options.runtime,
+            preset_name=options.preset,
             warn=warn,
         )
         page = _opened_page(options, source, stack, made, warnings)

@@ -49,12 +49,8 @@ def bench_options(
 ) -> argparse._ArgumentGroup:
     """Add --sensor, --bench and those of a mock bench, whose group is returned.
 
-    Args:
-        parser: Parser of the command.
-        mock: Add --world and --force.
-        sources: Add the options for real recordings that a mock bench plays.
-        gauge: The command needs a gauge: --force is left out.
-        session: Add --session, in place of a bench.
+    `mock` adds --world, and --force unless the command needs a `gauge`; `sources` the options for
+    real recordings that a mock bench plays; `session` --session, in place of a bench.
     """
     bench = parser.add_argument_group("bench")
     chosen = bench.add_mutually_exclusive_group()
@@ -203,10 +199,7 @@ def banner(file: BenchFile) -> str:
 
 
 def bench_command(name: str, options: argparse.Namespace, **others: object) -> str:
-    """Return the command to continue with on the bench of these options.
-
-    Further options are those in `others`; those of None are left out.
-    """
+    """Return the command to continue with on the bench of these options, with others."""
     return next_command(name, **bench_choice(options), **others)
 
 
@@ -264,10 +257,7 @@ def calibration_options(parser: argparse._ActionsContainer) -> None:
 
 
 def add_page(
-    parser: argparse._ActionsContainer,
-    option: str,
-    what: str,
-    default: AccessPolicy | None = None,
+    parser: argparse._ActionsContainer, option: str, what: str, default: AccessPolicy | None = None
 ) -> None:
     """Add an option with the address of a page, whose help is `what` and the address.
 
@@ -348,12 +338,9 @@ def require_terminal() -> None:
 
 
 def answer(question: str) -> str | None:
-    """Return the line that is typed after the question has appeared, without its end.
+    """Return the line that is typed after the question, without its end; None at the end of input.
 
     What was typed before is dropped: an Enter meant for an earlier command must not start an arm.
-
-    Returns:
-        The line; None at the end of input.
     """
     if sys.stdin.isatty():
         termios.tcflush(sys.stdin, termios.TCIFLUSH)

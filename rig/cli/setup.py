@@ -23,6 +23,7 @@ from recorder.command_line.errors import (
     EXIT_INTERRUPTED,
     EXIT_SAFETY_STOP,
 )
+from recorder.command_line.options import add_value
 from rig.acquire import setup_checks as checks
 from rig.acquire.acceptance import SetupRecord
 from rig.acquire.calibration import store
@@ -295,12 +296,8 @@ def home(at: AtBench, _: Answers) -> Iterator[Finding]:
         code = at.run(find_by_signal, recording)
     else:
         code = at.run(find_by_force, recording)
-    calibration = store.load(at.options.calibrations, at.bench, at.bench.indenter)[0]
-    text = (
-        f"surface {1e3 * calibration.home.shift:+.3f} mm of the bench file's"
-        if calibration.home
-        else ""
-    )
+    surface = store.load(at.options.calibrations, at.bench, at.bench.indenter)[0].home
+    text = f"surface {1e3 * surface.shift:+.3f} mm of the bench file's" if surface else ""
     yield _outcome("home", code, text, "contact_frame in the bench file; tactile home says more")
 
 
@@ -477,13 +474,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=VALUE",
         help=f"answer of: {', '.join(ask.name for step in STEPS for ask in step.asks)}",
     )
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("sessions"),
-        metavar="DIR",
-        help="folder of sessions (%(default)s)",
-    )
+    add_value(parser, "--out", "DIR", doctor.SESSIONS, "folder of sessions", Path)
     parser.add_argument("--operator", default="", help="operator's name (default: the login name)")
     calibration_options(parser)
 

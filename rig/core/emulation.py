@@ -26,7 +26,6 @@ from urllib.parse import SplitResult, urlsplit
 
 import numpy as np
 
-from rig.core.fault_injection import FaultInjector
 from rig.core.realtime import DEVICE_PRIORITY
 from rig.core.samples import WORLD_STATE
 from rig.core.shared_memory import AwaitedRecord
@@ -121,10 +120,7 @@ NO_CONTACT_DEPTH = -0.01
 
 
 class SharedWorld(AwaitedRecord):
-    """World published by another process in a `SharedLatest` file, which may be created later.
-
-    Without a file nothing ever touches the sensor.
-    """
+    """World that another process publishes, maybe later; without a file nothing touches it."""
 
     def __init__(self, path: Path | None) -> None:
         super().__init__(path, WORLD_STATE)
@@ -141,20 +137,15 @@ class SharedWorld(AwaitedRecord):
 
 
 class DeviceServer(ThreadingHTTPServer):
-    """HTTP server of an emulated device, without a host name.
-
-    While `faults` has the device unplugged, every client is rejected.
-    """
+    """HTTP server of an emulated device, without a host name; unplugged, it rejects all clients."""
 
     daemon_threads = True
 
     def __init__(
-        self,
-        address: tuple[str, int],
-        handler: type[DeviceHandler],
-        faults: FaultInjector[Any] | None = None,
+        self, address: tuple[str, int], handler: type[DeviceHandler], emulator: Any
     ) -> None:
-        self._faults = faults
+        self.emulator = emulator
+        """Emulator of the device, with its `faults`."""
         super().__init__(address, handler)
 
     def server_bind(self) -> None:
@@ -164,7 +155,7 @@ class DeviceServer(ThreadingHTTPServer):
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
         """Reject every client while the device is unplugged."""
-        return self._faults is None or not self._faults.unplugged
+        return not self.emulator.faults.unplugged
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Log at debug level: a client that leaves before its answer is no error."""
@@ -173,6 +164,8 @@ class DeviceServer(ThreadingHTTPServer):
 
 class DeviceHandler(BaseHTTPRequestHandler):
     """Handler of requests to an emulated device."""
+
+    server: DeviceServer
 
     def do_GET(self) -> None:
         """Serve a request."""
@@ -206,8 +199,8 @@ class Emulator:
 
     @property
     def address(self) -> str:
-        """Address for drivers to connect to."""
-        raise NotImplementedError
+        """Address for drivers to connect to, if it is not reached through shared memory alone."""
+        return "shared memory"
 
     def start(self) -> None:
         """Listen and serve; return when clients can connect."""

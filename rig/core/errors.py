@@ -1,8 +1,12 @@
 """Errors, grouped by the action they require at the bench."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypeVar
 
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_SAFETY_STOP, CommandError
+from recorder.errors import SessionError
+
+_T = TypeVar("_T")
 
 
 class ConfigError(CommandError, ValueError):
@@ -43,3 +47,17 @@ def combined(failures: Sequence[Exception]) -> Exception:
     error = type(each[0])(f"{len(each)} devices:{lines}\n")
     error.failures = tuple(each)  # type: ignore[attr-defined]
     return error
+
+
+def all_opened(opens: Mapping[str, Callable[[], _T]]) -> dict[str, _T]:
+    """Return what opening each device returns, by name; all are tried before errors are raised."""
+    opened: dict[str, _T] = {}
+    failures: list[Exception] = []
+    for name, open_device in opens.items():
+        try:
+            opened[name] = open_device()
+        except (ConfigError, DeviceLost, SessionError) as error:
+            failures.append(error)
+    if failures:
+        raise combined(failures)
+    return opened

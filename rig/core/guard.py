@@ -8,7 +8,7 @@ import math
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,15 +19,17 @@ from rig.core.samples import FORCE_LATEST, POSE_LATEST
 from trajectories import dome_height
 
 Mode = Literal["guarded", "retreat", "travel"]
+# Kinds of violations from the most serious to the least; a stale force above the soft limit means a
+# lost sensor, not a finished press.
 Kind = Literal[
-    "force_soft",
+    "emergency_stop",
+    "protective_stop",
     "force_hard",
-    "force_status",
     "stale_force",
     "stale_pose",
+    "force_status",
+    "force_soft",
     "box",
-    "protective_stop",
-    "emergency_stop",
 ]
 
 AXES = (("Fx", "N"), ("Fy", "N"), ("Fz", "N"), ("Tx", "N m"), ("Ty", "N m"), ("Tz", "N m"))
@@ -102,23 +104,9 @@ class Violation:
     """Message for the technician: value found, limit, units."""
 
 
-# Violations from the most serious to the least; a stale force above the soft limit means a lost
-# sensor, not a finished press.
-_SEVERITY: tuple[Kind, ...] = (
-    "emergency_stop",
-    "protective_stop",
-    "force_hard",
-    "stale_force",
-    "stale_pose",
-    "force_status",
-    "force_soft",
-    "box",
-)
-
-
 def most_serious(violations: Iterable[Violation]) -> Violation | None:
     """Return the most serious of the violations that several guards found, or None."""
-    return min(violations, key=lambda found: _SEVERITY.index(found.kind), default=None)
+    return min(violations, key=lambda found: get_args(Kind).index(found.kind), default=None)
 
 
 def judge_safety(status: int) -> Violation | None:
@@ -172,8 +160,7 @@ def stale(
     if age_ns <= round(limit * SECOND_NS):
         return None
     return Violation(
-        kind,
-        f"newest {record} is {age_ns / 1e6:.0f} ms old, allowed {limit * 1e3:.0f} ms; {cause}",
+        kind, f"newest {record} is {age_ns / 1e6:.0f} ms old, allowed {limit * 1e3:.0f} ms; {cause}"
     )
 
 
@@ -184,13 +171,10 @@ class Guard(Protocol):
     """Dtype of the record."""
 
     def check(self, now_ns: int, records: np.ndarray | None, mode: Mode) -> Violation | None:
-        """Return the reason to stop now, or None.
+        """Return the reason to stop at `now_ns`, in a motion of this mode, or None.
 
-        Args:
-            now_ns: Time [ns].
-            records: All records (n,) since the last check, oldest first; the newest again if none
-                is new; None before the first.
-            mode: Current motion of the arm.
+        `records` (n,) are all since the last check, oldest first; the newest again if none is new;
+        None before the first.
         """
 
 

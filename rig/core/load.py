@@ -80,10 +80,7 @@ def _text(path: Path) -> str:
 
 
 def busy(load: Load, stalled: float = 0.0) -> str:
-    """Return that this computer is busy, with the reason; empty if it is not.
-
-    `stalled` is the longest time for which a process of ours stood still lately [s].
-    """
+    """Return why this computer is busy, or that a process `stalled` lately [s]; else empty."""
     found = load.shortages()
     if stalled >= STALL:
         found.append(f"a process of ours stood still for {stalled:.1f} s")

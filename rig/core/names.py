@@ -17,14 +17,7 @@ def operator_name(named: str) -> str:
 
 
 def unknown_name(where: str, found: str, known: Iterable[str], places: str = "") -> ConfigError:
-    """Return the error for a name that is not known.
-
-    Args:
-        where: Option or key that has the name.
-        found: The name.
-        known: Names that are allowed.
-        places: Where those are found, such as `in benches/`.
-    """
+    """Return the error for a name at an option or key `where`; the known ones are in `places`."""
     names = sorted(known)
     by_folded = {name.casefold(): name for name in names}
     likely = difflib.get_close_matches(found.casefold(), by_folded, n=1)

@@ -9,21 +9,13 @@ _CLEAR = "\x1b[K"
 
 
 class PacedLine:
-    """The newest text, as often as it can be read.
+    """The newest text, as often as it can be read: at these intervals on a terminal, or elsewhere.
 
-    Args:
-        out: Output.
-        terminal_ns: Interval on a terminal [ns].
-        elsewhere_ns: Interval elsewhere [ns].
-        elsewhere: Called with a text if the output is no terminal, or a terminal that is gone.
+    `elsewhere` is called with a text if the output is no terminal, or a terminal that is gone.
     """
 
     def __init__(
-        self,
-        out: TextIO,
-        terminal_ns: int,
-        elsewhere_ns: int,
-        elsewhere: Callable[[str], object],
+        self, out: TextIO, terminal_ns: int, elsewhere_ns: int, elsewhere: Callable[[str], object]
     ) -> None:
         self._out, self._elsewhere = out, elsewhere
         self._terminal_ns, self._elsewhere_ns = terminal_ns, elsewhere_ns

@@ -14,10 +14,7 @@ CAMPAIGNS = _HOME / "campaigns"
 
 
 def packaged(path: Path, folder: Path) -> Path:
-    """Return the path, or the packaged file of that name in `BENCHES` or `CAMPAIGNS`.
-
-    It is the path itself if it exists or if no packaged file has that name.
-    """
+    """Return the path if it exists, else the packaged file of that name in a folder, if any."""
     if path.exists() or path.parent not in (Path(), Path(folder.name)):
         return path
     candidate = folder / path.name

@@ -71,14 +71,15 @@ class RecordedStream:
     """Times of the rows since the run's first sample in any stream [ns]."""
 
 
+def times_of_run(session: Session, name: str, run: int) -> npt.NDArray[np.int64]:
+    """Return the recorded times (n,) of the rows of a stream in a run [ns]."""
+    return session.streams[name].t_ns[session.rows_of_run(name, run)]
+
+
 def origin_ns(session: Session, names: Sequence[str], run: int) -> int | None:
     """Return the recorded time of a run's first sample in any stream [ns]; None without samples."""
-    first = []
-    for name in names:
-        times = session.streams[name].t_ns[session.rows_of_run(name, run)]
-        if len(times):
-            first.append(int(times.min()))
-    return min(first) if first else None
+    every = (times_of_run(session, name, run) for name in names)
+    return min((int(times.min()) for times in every if len(times)), default=None)
 
 
 def load_recorded_stream(

@@ -35,11 +35,7 @@ def enable_realtime(priority: int = RIG_PRIORITY) -> dict[str, bool]:
 
 
 def take_priority(priority: int) -> bool:
-    """Run this thread, and those that it starts, before all others of less priority, 1 to 99.
-
-    Returns:
-        True if the system grants it.
-    """
+    """Run this thread, and those it starts, at a priority of 1 to 99; return True if granted."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except (OSError, AttributeError):
@@ -47,11 +43,11 @@ def take_priority(priority: int) -> bool:
     return True
 
 
-def may_have_priority(priority: int = RIG_PRIORITY) -> bool:
+def may_have_priority() -> bool:
     """Return True if real-time priority is granted; this process stays as it was."""
     try:
         before = os.sched_getscheduler(0), os.sched_getparam(0)
-        if not take_priority(priority):
+        if not take_priority(RIG_PRIORITY):
             return False
         os.sched_setscheduler(0, *before)
     except (OSError, AttributeError):

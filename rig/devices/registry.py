@@ -163,11 +163,10 @@ def kinds() -> list[str]:
 
 
 def settings_of(kind: Any, *, stream: str | None) -> dict[str, type[Any]]:
-    """Return the settings of all devices with a stream, by kind, for the reader of bench files.
+    """Return the settings of all devices with a stream of a kind, by kind of device.
 
-    Args:
-        kind: Kind that the bench file names: other packages are looked at if none of ours has it.
-        stream: Kind of the stream; None: any but the arm's own.
+    Without `stream`, it is any but the arm's own. Other packages are looked at if none of our
+    devices has the `kind` that the bench file names.
     """
     devices = list(DEVICES.values())
     if isinstance(kind, str) and kind not in DEVICES:

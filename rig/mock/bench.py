@@ -55,11 +55,8 @@ _NAMED_PORTS = 31020
 class ProcessGroup:
     """Group of processes, each running `rig.mock.emulate`; a context manager.
 
-    Everything that was started is closed, even if the start fails half-way.
-
-    Args:
-        folder: Run folder; `<name>.json` holds the settings of each process, `<name>.log` its
-            stderr.
+    Everything that was started is closed, even if the start fails half-way. In the run folder,
+    `<name>.json` holds the settings of each process, `<name>.log` its stderr.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -83,11 +80,7 @@ class ProcessGroup:
         raise NotImplementedError
 
     def _launch(self, documents: Mapping[str, tuple[str, Mapping[str, Any]]]) -> None:
-        """Start emulators, and wait until each has printed that it listens.
-
-        Args:
-            documents: Emulator in `rig.mock.emulate` and its settings, by the name of the process.
-        """
+        """Start emulators with their settings, by process, and wait until each listens."""
         for name, (_, settings) in documents.items():
             (self._folder / f"{name}.json").write_text(json.dumps(settings))
         for name, (emulator, _) in documents.items():
@@ -284,12 +277,9 @@ class MockBench(ProcessGroup):
 
 
 def free_loopback(taken: Collection[str] = ()) -> str:
-    """Return a 127.x.y.z address without a listener on a UR controller's ports.
+    """Return a 127.x.y.z address, none of `taken`, without a listener on a UR controller's ports.
 
     The ports are fixed in the client library, so simultaneous benches need different addresses.
-
-    Args:
-        taken: Addresses that are about to be used.
     """
     rng = np.random.default_rng(os.getpid())
     for _ in range(50):

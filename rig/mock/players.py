@@ -12,7 +12,15 @@ from recorder.session import Session
 from rig.bench.bench import Bench, BenchLimits, Preflight
 from rig.core.clock import SECOND_NS
 from rig.core.errors import DeviceLost
-from rig.core.playback import FAILED, POSITION, SYNC, position_path, stated_rate, sync_path
+from rig.core.playback import (
+    FAILED,
+    POSITION,
+    SYNC,
+    position_path,
+    stated_rate,
+    sync_path,
+    times_of_run,
+)
 from rig.core.shared_memory import SharedLatest
 from rig.devices.arm.settings import ArmConfig, PoseConfig, WrenchConfig
 from rig.devices.camera.settings import MjpegConfig
@@ -33,10 +41,7 @@ PLAYED_BY = {
 
 
 class Players(ProcessGroup):
-    """Starts, cues and ends the emulators of a run, each at its own loopback address.
-
-    `speed` is a multiple of the recorded one; 0: as fast as read.
-    """
+    """Starts, cues and ends the emulators of a run, at their hosts; speed 0: as fast as read."""
 
     def __init__(
         self,
@@ -166,12 +171,7 @@ def _device(session: Session, name: str, host: str, speed: float) -> Any:
         (taxels, axes) = stream.layout.columns[0].column.shape
         address = f"ws://{host}:5000"
         return XelaConfig(
-            address,
-            rows=1,
-            columns=taxels,
-            axes=axes,
-            rate_hz=stated_rate(stream),
-            silence=silence,
+            address, rows=1, columns=taxels, axes=axes, rate_hz=stated_rate(stream), silence=silence
         )
     height, width, _ = stream.layout.columns[0].column.shape
     return MjpegConfig(
@@ -188,13 +188,9 @@ def _longest_gap(session: Session, name: str, speed: float) -> float:
     """Return the longest time without a row in any run, as replayed [s], including its start."""
     longest = 0.0
     for run in range(max(len(session.runs), 1)):
-        times = [
-            stream.t_ns[session.rows_of_run(stream.name, run)]
-            for stream in session.streams.values()
-        ]
+        times = [times_of_run(session, each, run) for each in session.streams]
         start = min((int(t.min()) for t in times if len(t)), default=0)
         end = max((int(t.max()) for t in times if len(t)), default=0)
-        own = session.streams[name].t_ns[session.rows_of_run(name, run)]
-        steps = np.diff(np.concatenate([[start], own, [end]]))
+        steps = np.diff(np.concatenate([[start], times_of_run(session, name, run), [end]]))
         longest = max(longest, float(steps.max()) / SECOND_NS)
     return longest / speed if speed > 0 else longest

@@ -43,10 +43,7 @@ def is_loopback(host: str) -> bool:
 
 
 def own_addresses(host: str) -> list[str]:
-    """Return this machine's addresses as other machines reach it, or its loopback address.
-
-    `host` is `0.0.0.0` for those of IPv4, `::` for those of IPv6.
-    """
+    """Return this machine's addresses for others, IPv4 (0.0.0.0) or IPv6 (::), or loopback."""
     addresses = _ipv4_addresses() if host == "0.0.0.0" else _ipv6_addresses()
     others = [address for address in addresses if not is_loopback(address)]
     return others or [LOOPBACK_HOST if host == "0.0.0.0" else "::1"]
@@ -124,10 +121,7 @@ class AccessPolicy:
         return bool(host) and origin == f"http://{host}"
 
     def may_open(self, path: str, cookies: str | None) -> bool:
-        """Return True if the page may be shown: on this machine always, to others with the token.
-
-        The token is in the query of `path`, or in the Cookie header.
-        """
+        """Return True for a page of this machine, or with the token in path or Cookie header."""
         if is_loopback(self.host):
             return True
         return self._is_token(_query_token(path)) or self.has_cookie(cookies)

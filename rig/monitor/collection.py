@@ -250,10 +250,7 @@ class CollectionView(LiveView):
         return forces
 
     def tips(self) -> dict[str, list[float | None]]:
-        """Return the position of each arm's tip (3,) [mm].
-
-        x and y are in the contact frame, z is the height above the undeformed surface there.
-        """
+        """Return each arm's tip (3,) [mm]: x and y in the contact frame, z above the surface."""
         tips = {}
         for name in self._arms:
             record = self._latest[name].read()
@@ -440,11 +437,7 @@ class CollectionPage(PageProcess):
         self.close()
 
     def begin(
-        self,
-        control: Control,
-        progress: Callable[[], Mapping[str, Any]],
-        session: Path,
-        first: int,
+        self, control: Control, progress: Callable[[], Mapping[str, Any]], session: Path, first: int
     ) -> None:
         """Show a running collection; see `rig.acquire.control.Onlooker`."""
         self._control, self._progress = control, progress

@@ -11,6 +11,7 @@ import csv
 import io
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -110,18 +111,11 @@ def watch(
     seconds: float | None = None,
     out: Path | None = None,
 ) -> None:
-    """Watch until the frames end, the time is up, or a stop is requested.
+    """Watch until the frames end, the time is up, or a stop is requested (`is_over`).
 
-    Args:
-        watched: An opened sensor.
-        predictor: Predicts the force of each frame.
-        clock: Clock.
-        summary: Receives all results, even if an error ends the loop.
-        show: Called with each force, the time of the state that its frame shows [ns], its latency
-            [s] and the gauge's newest force [N].
-        is_over: Returns True if a stop was requested.
-        seconds: Duration from the first force on [s]; None: until the frames end.
-        out: CSV file to write; must not exist.
+    The summary receives all results, even if an error ends the loop. `show` is called with each
+    force, the time of the state that its frame shows [ns], its latency [s] and the gauge's newest
+    force [N]. The time [s] is from the first force on; `out` is a CSV file that must not exist.
     """
     with _recording(out, predictor) as record:
         if watched.no_contact is not None:
@@ -165,10 +159,7 @@ def _frame(sample: dict[str, Any]) -> Any:
 def _recording(
     out: Path | None, predictor: LivePredictor
 ) -> Iterator[Callable[[int, float, LiveForce], None]]:
-    """Yield a function that appends a row to a CSV file and flushes it.
-
-    A file without any row is removed.
-    """
+    """Yield a function that appends a row to a CSV file at once; an empty file is removed."""
     if out is None:
         yield lambda t_ns, latency, reading: None
         return
@@ -207,10 +198,7 @@ def _columns(pattern: str) -> list[str]:
 
 
 def add_gauge(path: Path, wrench: np.ndarray) -> None:
-    """Add the gauge's forces to a CSV file of forces.
-
-    `wrench` has those of its first rows (n, 6) [N, N m]; NaN where unknown.
-    """
+    """Add the gauge's forces of the first rows (n, 6) [N, N m], NaN if unknown, to a CSV file."""
     with path.open(newline="", encoding="utf-8") as file:
         header, *rows = list(csv.reader(file))
     text = io.StringIO()
@@ -226,9 +214,7 @@ class ForceLine:
     """Prints forces at a readable rate."""
 
     def __init__(self, clock: Clock, out: TextIO) -> None:
-        def write(text: str) -> None:
-            print(text, file=out, flush=True)
-
+        write = partial(print, file=out, flush=True)
         self._line = PacedLine(out, SECOND_NS // 10, SECOND_NS, write)
         self.close = self._line.end
         self._clock = clock

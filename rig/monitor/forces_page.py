@@ -102,10 +102,7 @@ class ForcesPage(PageProcess):
         self.close()
 
     def add(self, reading: LiveForce, t_ns: int, latency: float, gauge: Triple | None) -> None:
-        """Show the forces of a frame, which shows the state of the sensor at `t_ns` [ns].
-
-        `latency` is the time from frame to force [s], `gauge` the gauge's newest force [N].
-        """
+        """Show a frame's forces, its state's time [ns], latency [s] and newest gauge force [N]."""
         self._start_ns = t_ns if self._start_ns is None else self._start_ns
         low, high = reading.interval or (None, None)
         force, *others = map(_numbers, (reading.force, low, high, reading.before, gauge))
@@ -116,10 +113,7 @@ class ForcesPage(PageProcess):
         self._unsent.append(point)
 
     def finish(self, wrench: Callable[[Any], np.ndarray] | None) -> None:
-        """Show the true forces at last, if they are only known now.
-
-        `wrench` returns the true wrench (n, 6) [N, N m] at times (n,) [ns].
-        """
+        """Show the true wrench (n, 6) [N, N m] at times (n,) [ns], if it is only known at last."""
         if wrench is None or not self._recent:
             return
         true = wrench(np.array([t_ns for t_ns, _ in self._recent], np.int64))[:, :3]

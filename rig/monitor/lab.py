@@ -70,10 +70,7 @@ class Finished:
         return list(self._catalogue)
 
     def search(self, conditions: Mapping[str, str]) -> dict[str, Any]:
-        """Return the newest sessions that meet the conditions, and the choices for each of them.
-
-        These are fields of `Query` as text; an empty one is no condition.
-        """
+        """Return the newest sessions by conditions, fields of `Query` as text, and the choices."""
         since = date.fromisoformat(conditions["since"]) if conditions.get("since") else None
         faults = {"": None, "yes": True, "no": False}
         if conditions.get("faults", "") not in faults:

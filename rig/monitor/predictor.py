@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rig.core.errors import ConfigError
 
@@ -30,22 +28,11 @@ def force_model(name: str) -> str:
 
 
 def open_predictor(
-    model: str,
-    *,
-    before: str | None,
-    runtime: str,
-    sensor: str,
-    preset: str | None,
-    signal: str = "",
-    description: str = "",
-    depth: float = math.nan,
-    warn: Callable[[str], None] = lambda text: None,
+    model: str, *, sensor: str, signal: str, description: str, depth: float, **options: Any
 ) -> LivePredictor:
-    """Open a model of `force_model`; forces of the model `before` are shown beside.
+    """Open a model of `force_model`, with options of `learning.force.live.open_live`.
 
-    `sensor` selects the marker detection preset, unless `preset` names one or its file. `signal` is
-    the sensor's kind of stream, `depth` the depth that it is pressed to [m]; `warn` is called with
-    each difference from the model's purpose.
+    `signal` is the sensor's kind of stream, `depth` the depth that it is pressed to [m].
     """
     try:
         from learning.errors import LearningError
@@ -58,15 +45,7 @@ def open_predictor(
         ) from None
     met = Conditions(sensor, signal, description, depth)
     try:
-        return open_live(
-            model,
-            before=before,
-            runtime=runtime,
-            sensor=sensor,
-            preset_name=preset,
-            met=met,
-            warn=warn,
-        )
+        return open_live(model, sensor=sensor, met=met, **options)
     except LearningError as error:
         raise ConfigError(str(error)) from None
 

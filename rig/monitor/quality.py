@@ -89,10 +89,7 @@ class _Growing:
         return np.zeros(0) if stream is None else stream.array(name)
 
     def new(self, *names: str, until: int | None = None) -> list[Array] | None:
-        """Return the new rows of columns (n, ...), `t_ns` first; None if there are none.
-
-        Rows later than `until` [ns] come again.
-        """
+        """Return new rows (n, ...) of columns, `t_ns` first, up to `until` [ns]; None without."""
         stream = self._refreshed()
         if stream is None:
             return None

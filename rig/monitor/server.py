@@ -73,10 +73,7 @@ class LiveView:
         raise NotImplementedError
 
     def news(self, sent: Counter[str], clients: Mapping[str, int]) -> list[dict[str, Any] | bytes]:
-        """Return the state and pictures for a client, and note in `sent` that it has them.
-
-        `clients` are counts of clients, by name.
-        """
+        """Return state and pictures for a client, noted in `sent`, with the counts of clients."""
         raise NotImplementedError
 
     def receive(self, message: Any) -> None:
@@ -136,10 +133,7 @@ class Marks:
 
 
 class PageServer:
-    """The page: a lab, if it has folders, and a live view if a command serves it.
-
-    The command ends the server through `pipe`; without one, a signal does.
-    """
+    """The page: a lab, if it has folders, and a command's live view; a pipe or signal ends it."""
 
     def __init__(
         self,

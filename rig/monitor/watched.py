@@ -3,7 +3,7 @@
 import contextlib
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -148,15 +148,8 @@ def mock_bench(
 ) -> Iterator[Watched]:
     """Open the emulated sensor of a mock bench; a finger presses it once `begin` is called."""
     with TouchedMock(file, folder, rate_hz=rate_hz) as mock, lab_bench(mock.bench, clock) as opened:
-        yield Watched(
-            opened.sensor,
-            opened.stream,
-            opened.driver,
-            begin=mock.press,
-            check=mock.check,
-            shows_ns=_stamped,
-            wrench=mock.wrench,
-        )
+        pressed = replace(opened, begin=mock.press, check=mock.check)
+        yield replace(pressed, shows_ns=_stamped, wrench=mock.wrench)
 
 
 class RecordedSignal:

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from recorder.session import Session
 from rig.core.clock import SECOND_NS
-from rig.core.playback import origin_ns
+from rig.core.playback import origin_ns, times_of_run
 
 Ints = npt.NDArray[np.int64]
 
@@ -48,9 +48,8 @@ def retiming(
     source: Session, replay: Session, names: tuple[str, ...], run: int, start_ns: int, speed: float
 ) -> Retiming:
     """Return the map from a run's times in `source` to `replay`, as far as it was recorded."""
-    densest = max(names, key=lambda name: _length(source, name, run))
-    old = source.streams[densest].t_ns[source.rows_of_run(densest, run)]
-    new = replay.streams[densest].t_ns[replay.rows_of_run(densest, run)]
+    densest = max(names, key=lambda name: len(times_of_run(source, name, run)))
+    old, new = (times_of_run(session, densest, run) for session in (source, replay))
     count = min(len(old), len(new))
     return Retiming(origin_ns(source, names, run) or 0, start_ns, speed, old[:count], new[:count])
 
@@ -70,8 +69,7 @@ def timing(
     """Return the timing error of a stream over all its runs, by their maps; None without rows."""
     errors = []
     for run, to_new in maps.items():
-        old = source.streams[name].t_ns[source.rows_of_run(name, run)]
-        new = replay.streams[name].t_ns[replay.rows_of_run(name, run)]
+        old, new = (times_of_run(session, name, run) for session in (source, replay))
         count = min(len(old), len(new))
         errors.append((new[:count] - to_new(old[:count])) * 1e-9)
     every = np.concatenate(errors) if errors else np.zeros(0)
@@ -104,25 +102,14 @@ def timing_line(name: str, error: Timing) -> str:
     )
 
 
-def _length(session: Session, name: str, run: int) -> int:
-    rows = session.rows_of_run(name, run)
-    return len(range(*rows.indices(len(session.streams[name]))))
-
-
 def covered_ns(replay: Session, names: tuple[str, ...], run: int) -> int:
     """Return the time up to which every stream of a run has rows [ns]."""
-    last = []
-    for name in names:
-        times = replay.streams[name].t_ns[replay.rows_of_run(name, run)]
-        last.append(int(times[-1]) if len(times) else 0)
-    return min(last)
+    every = [times_of_run(replay, name, run) for name in names]
+    return min(int(times[-1]) if len(times) else 0 for times in every)
 
 
 def span(session: Session, names: tuple[str, ...], run: int) -> float:
     """Return the time from the first to the last row of a run in any stream [s]."""
-    ends = []
-    for name in names:
-        times = session.streams[name].t_ns[session.rows_of_run(name, run)]
-        if len(times):
-            ends += [int(times.min()), int(times.max())]
-    return (max(ends) - min(ends)) / SECOND_NS if ends else 0.0
+    every = [times for name in names if len(times := times_of_run(session, name, run))]
+    first = min((int(times.min()) for times in every), default=0)
+    return (max((int(times.max()) for times in every), default=0) - first) / SECOND_NS

@@ -85,10 +85,7 @@ _CHECKS = {
 def replayable(
     session: Session, without: tuple[str, ...] = (), progress: ReportItems | None = None
 ) -> tuple[str, ...]:
-    """Check the streams to replay, and return their names, in the order of `PLAYED_BY`.
-
-    `progress` is called with the number of images checked and their total.
-    """
+    """Check the streams to replay, with progress; return names in the order of `PLAYED_BY`."""
     if session.warning is not None:
         raise SessionError(session.warning)
     stream_names = ", ".join(session.streams)

@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from recorder.command_line.options import add_device, add_grid, add_seed, whole
+from recorder.command_line.options import add_device, add_grid, add_seed, add_value, whole
 
 # Largest height of a surface over where an archive has it [um].
 HEIGHT_MOST = 1000.0
@@ -28,13 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="its twin: a YAML file, or a row of sim/sensors",
     )
-    add(
-        "--draws",
-        type=whole(0, 1000),
-        default=8,
-        metavar="N",
-        help="sensors drawn for the spread; 0: none (%(default)s)",
-    )
+    about = "sensors drawn for the spread; 0: none"
+    add_value(parser, "--draws", "N", 8, about, whole(0, 1000))
     add(
         "--height-um",
         type=float,
@@ -45,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_seed(parser)
     add_grid(parser)
     add_device(parser)
-    add("--processes", type=whole(1), default=2, metavar="N", help="processes (%(default)s)")
+    add_value(parser, "--processes", "N", 2, "processes", whole(1))
 
 
 def run(options: argparse.Namespace) -> int:

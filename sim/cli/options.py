@@ -218,12 +218,7 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
 def scene_of(options: argparse.Namespace) -> Scene:
     """Return the scene that the options describe."""
     motion = motion_of(options)
-    return Scene(
-        indenter=indenter_of(options),
-        motion=motion,
-        body=body_of(options),
-        effects=effects_of(options),
-    )
+    return Scene(indenter_of(options), motion, body_of(options), effects_of(options))
 
 
 def motion_of(options: argparse.Namespace) -> Motion:
@@ -264,16 +259,13 @@ def body_of(options: argparse.Namespace) -> Body:
 
 def effects_of(options: argparse.Namespace) -> Effects:
     """Return the effects that the options request; friction 0 requests none."""
-    friction, viscosity = options.friction, options.viscosity
+    viscosity = None
+    if options.viscosity is not None:
+        ratios, times = zip(*options.viscosity, strict=True)
+        viscosity = Viscosity(ratios, times, options.relaxes)
     return Effects(
-        friction=None if friction == 0 else Friction(friction),
-        viscosity=None
-        if viscosity is None
-        else Viscosity(
-            ratios=tuple(ratio for ratio, _ in viscosity),
-            times=tuple(time for _, time in viscosity),
-            relaxes=options.relaxes,
-        ),
+        friction=None if options.friction == 0 else Friction(options.friction),
+        viscosity=viscosity,
         inertia=None if options.inertia is None else Inertia(options.inertia),
         gravity=None if options.gravity is None else Gravity(options.gravity),
     )

@@ -68,17 +68,10 @@ def _show(
     if options.json:
         print(json.dumps(as_json(result, seconds=seconds), allow_nan=False))
         return
-    print(heading(result))
-    print()
-    for line in table(result):
-        print(line)
-    print()
-    print(stages(result, seconds))
-    for note in notes(result):
-        print(f"note: {note}")
-    for path in (options.save, picture):
-        if path is not None:
-            print(path)
+    lines = [heading(result), "", *table(result), "", stages(result, seconds)]
+    lines += [f"note: {note}" for note in notes(result)]
+    lines += [str(path) for path in (options.save, picture) if path is not None]
+    print("\n".join(lines))
 
 
 def _show_effects(scene: Scene, options: argparse.Namespace) -> int:

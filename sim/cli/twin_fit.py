@@ -6,7 +6,14 @@ import os
 import sys
 from pathlib import Path
 
-from recorder.command_line.options import add_device, add_grid, next_command, positive, whole
+from recorder.command_line.options import (
+    add_device,
+    add_grid,
+    add_value,
+    next_command,
+    positive,
+    whole,
+)
 from sim.errors import SceneError
 
 # Difference of forces at rest above which a twin is refused [%].
@@ -55,20 +62,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--out", type=Path, default=Path("twin.yaml"), metavar="PATH", help="row (%(default)s)")
     add("--picture", type=Path, metavar="PATH", help="picture (beside --out, .png)")
     add("--json", action="store_true", help="print the result as JSON")
-    add(
-        "--misfit",
-        type=positive,
-        default=REFUSED,
-        metavar="PERCENT",
-        help="largest difference of forces at rest (%(default)g)",
-    )
-    add(
-        "--misfit-markers",
-        type=positive,
-        default=REFUSED_MARKERS,
-        metavar="PERCENT",
-        help="largest difference of markers at rest, over how far they moved (%(default)g)",
-    )
+    about = "largest difference of forces at rest"
+    add_value(parser, "--misfit", "PERCENT", REFUSED, about, positive)
+    about = "largest difference of markers at rest, over how far they moved"
+    add_value(parser, "--misfit-markers", "PERCENT", REFUSED_MARKERS, about, positive)
     add(
         "--tier",
         choices=("layer", "fem"),
@@ -78,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_device(parser, "device of tier fem")
     add_grid(parser, GRID)
-    add("--processes", type=whole(1), default=2, metavar="N", help="processes (%(default)s)")
+    add_value(parser, "--processes", "N", 2, "processes", whole(1))
 
 
 def run(options: argparse.Namespace) -> int:

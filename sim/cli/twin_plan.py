@@ -6,7 +6,7 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-from recorder.command_line.options import add_grid, names, next_command, positive
+from recorder.command_line.options import add_grid, add_value, names, next_command, positive
 
 # Most time at the bench [min], and time to mount an indenter [s].
 MINUTES, CHANGE = 5.0, 60.0
@@ -33,28 +33,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="bench file that presses, or a packaged one (that of --sensor)",
     )
     add("--out", type=Path, default=Path("twin-plan"), metavar="PATH", help="folder (%(default)s)")
-    add(
-        "--minutes",
-        type=positive,
-        default=MINUTES,
-        metavar="MIN",
-        help="time for all presses, with changes of the indenter (%(default)g)",
-    )
-    add(
-        "--change",
-        type=positive,
-        default=CHANGE,
-        metavar="S",
-        help="time to mount an indenter (%(default)g)",
-    )
+    about = "time for all presses, with changes of the indenter"
+    add_value(parser, "--minutes", "MIN", MINUTES, about, positive)
+    add_value(parser, "--change", "S", CHANGE, "time to mount an indenter", positive)
     add("--indenters", type=names, metavar="NAME,...", help="those at hand (all)")
-    add(
-        "--noise",
-        type=positive,
-        default=10.0,
-        metavar="MN",
-        help="standard deviation of a reading of the gauge [mN] (%(default)g)",
-    )
+    about = "standard deviation of a reading of the gauge [mN]"
+    add_value(parser, "--noise", "MN", 10.0, about, positive)
     add_grid(parser)
 
 

@@ -42,13 +42,9 @@ class SensorReader:
     """Reader of one sensor of an archive; keeps constant data between calls."""
 
     def __init__(self, sensor: SimulatedSensor, seed: int, device: str, indenters: int) -> None:
-        """Mount the sensor with the deviations in its `variation`.
+        """Mount the sensor with the deviations in its `variation`, drawn by the seed.
 
-        Args:
-            sensor: The sensor.
-            seed: Seed of all draws.
-            device: Device of the renderer.
-            indenters: Number of indenters in its session, by code.
+        `indenters` is the number of them in its session, by code.
         """
         self.sensor = sensor
         self.readout = readout(sensor, seed=seed, device=device)

@@ -1,6 +1,7 @@
 """Plan of an archive of simulated sensors: one frozen value, stored in the archive."""
 
 import functools
+from collections import Counter
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -342,15 +343,19 @@ def chosen_targets(trajectory: PressShear, fraction: float) -> tuple[Target, ...
     count = max(1, round(fraction * len(targets)))
     if count == len(targets):
         return tuple(targets)
-    met: dict[tuple[object, ...], int] = {}
+    met: Counter[tuple[object, ...]] = Counter()
     chosen: list[Target] = []
     rest = targets
+
+    def seldom(target: Target) -> tuple[int, int, int]:
+        often = [met[trait] for trait in _traits(target)]
+        return sum(often[:3]), sum(often[3:]), target.index  # singles, then pairs
+
     while len(chosen) < count:
-        best = min(rest, key=lambda one: (*_often(met, _traits(one)), one.index))
+        best = min(rest, key=seldom)
         chosen.append(best)
         rest = [one for one in rest if one is not best]
-        for trait in _traits(best):
-            met[trait] = met.get(trait, 0) + 1
+        met.update(_traits(best))
     return tuple(sorted(chosen, key=lambda one: one.index))
 
 
@@ -358,14 +363,6 @@ def _traits(target: Target) -> tuple[tuple[object, ...], ...]:
     point, depth, direction = target.point, target.depth, target.direction
     singles = (("point", point), ("depth", depth), ("direction", direction))
     return (*singles, *((*a, *b) for a, b in pairwise((*singles, singles[0]))))
-
-
-def _often(
-    met: dict[tuple[object, ...], int], traits: Sequence[tuple[object, ...]]
-) -> tuple[int, int]:
-    """Return the total counts of single traits and of pairs of them."""
-    often = [met.get(trait, 0) for trait in traits]
-    return sum(often[:3]), sum(often[3:])
 
 
 def _target_press(

@@ -7,9 +7,9 @@ is in `sim.fem.solver`.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
-from sim.errors import SceneError, check_kind, check_range, make_plain
+from sim.errors import check_choice, check_kind, check_range, make_plain
 
 if TYPE_CHECKING:
     from sim.scene import Body
@@ -118,10 +118,7 @@ class Fem:
 
     def __post_init__(self) -> None:
         make_plain(self)
-        if self.precision not in ("auto", "float32", "float64"):
-            raise SceneError(
-                f"fem.precision: {self.precision!r}; allowed: 'auto', 'float32', 'float64'"
-            )
+        check_choice("fem.precision", self.precision, get_args(Precision))
         check_kind("fem.one_topology", self.one_topology, bool, "True or False")
         if self.grading is not None:
             check_kind("fem.grading", self.grading, Grading, "a Grading or None")

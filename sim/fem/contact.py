@@ -58,13 +58,6 @@ def contact_kernels(real, friction: bool, traits: IndenterTraits = PLAIN):
     reach = real(REACH)
 
     @wp.func
-    def bend(table: table_type, env: int, place: vec3, normal: vec3, along: vec3):
-        """Return the derivative of the normal along a tangent, in the tangent plane."""
-        ahead = distance(table, env, place + along * reach)
-        turn = (vec3(ahead[0], ahead[1], ahead[2]) - normal) / reach
-        return turn - normal * wp.dot(normal, turn)
-
-    @wp.func
     def curvature(table: table_type, env: int, place: vec3, normal: vec3):
         """Return the derivative of the normal, symmetric, by finite differences."""
         helper = vec3(one, zero, zero)
@@ -74,7 +67,9 @@ def contact_kernels(real, friction: bool, traits: IndenterTraits = PLAIN):
         bent = mat33()
         sides = int(2)  # a variable, or the loop is unrolled: each distance takes 0.3 s to compile
         for _side in range(sides):
-            bent += wp.outer(bend(table, env, place, normal, along), along)
+            ahead = distance(table, env, place + along * reach)
+            turn = (vec3(ahead[0], ahead[1], ahead[2]) - normal) / reach
+            bent += wp.outer(turn - normal * wp.dot(normal, turn), along)
             along = wp.cross(normal, along)
         return (bent + wp.transpose(bent)) * half
 

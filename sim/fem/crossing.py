@@ -148,17 +148,8 @@ class Crossing:
         Both overlaps are as measured by `overlap_kernel`, those of faces (B, S, 4).
         """
         wp.copy(self._box, self._none)
-        wp.launch(
-            self._surround,
-            dim=(len(self._box), len(mesh.faces)),
-            inputs=[mesh, active, u, face_overlap],
-            outputs=[self._box],
-            device=self._device,
-        )
-        wp.launch(
-            self._cross,
-            dim=(len(self._box), len(self._skin), NODE_LANES),
-            inputs=[mesh, self._sides, self._skin, active, u, self._box],
-            outputs=[most_overlap],
-            device=self._device,
-        )
+        by_face, inputs = (len(self._box), len(mesh.faces)), [mesh, active, u, face_overlap]
+        wp.launch(self._surround, by_face, inputs, [self._box], device=self._device)
+        by_lane = len(self._box), len(self._skin), NODE_LANES
+        inputs = [mesh, self._sides, self._skin, active, u, self._box]
+        wp.launch(self._cross, by_lane, inputs, [most_overlap], device=self._device)

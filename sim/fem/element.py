@@ -863,23 +863,16 @@ class VolumePressure:
 
     def compose(self, active) -> None:
         """Update `lagged` where the pressure, the fraction or the history has changed."""
-        wp.launch(
-            self._compose,
-            dim=self.lagged.shape,
-            inputs=[self._factor, self._history, self.pressure, active],
-            outputs=[self.lagged],
-            device=self._device,
-        )
+        inputs = [self._factor, self._history, self.pressure, active]
+        self._launch(self._compose, inputs, self.lagged)
 
     def settle(self, mesh, material, active, u) -> None:
         """Set the pressure to that at `u`, and with it `lagged`, the history of the material."""
-        wp.launch(
-            self._settle,
-            dim=self.lagged.shape,
-            inputs=[mesh, material, self._factor, self._history, active, u],
-            outputs=[self.pressure],
-            device=self._device,
-        )
+        inputs = [mesh, material, self._factor, self._history, active, u]
+        self._launch(self._settle, inputs, self.pressure)
+
+    def _launch(self, one, inputs, out) -> None:
+        wp.launch(one, out.shape, inputs, [out], device=self._device)
 
     def accept(self, active) -> None:
         """Make the current pressure that of the last accepted step."""

@@ -364,19 +364,13 @@ class BlockMatrix:
     ) -> None:
         """Allocate 972 bytes per node, environment and matrix in float32.
 
-        Args:
-            mesh: Grid and its neighbour tables; the geometry is an argument of every assembly.
-            real: Warp's scalar type.
-            environments: B.
-            device: Device of the matrix.
-            viscous: True if stresses have a history.
-            split: True if pressures have one (`sim.fem.element.VolumePressure`).
-            stiffening: True if skin stiffens where it is strained far (`Fem.stiffening`).
-            parallel: Assemble by colour with one row of an element per thread, and store the matrix
-                with node numbers running fastest; by default only on a GPU.
-            half: Let products read a copy of the matrix in float16, 486 bytes more; unsuitable
-                above `HALF_POISSON`. By default only in float32 on a GPU, up to `HALF_NODES`.
-            damped: True if `stiffer` of `assemble` counts.
+        The mesh gives the grid; its geometry is an argument of every assembly. Compiled in are the
+        history of stresses if `viscous`, that of pressures if `split`
+        (`sim.fem.element.VolumePressure`), `Fem.stiffening`, and `stiffer` of `assemble` if
+        `damped`. `parallel`, by default only on a GPU, assembles by colour with one row of an
+        element per thread, and stores the matrix with node numbers running fastest. With `half`
+        products read a copy of the matrix in float16, 486 bytes more; it is unsuitable above
+        `HALF_POISSON`, and the default in float32 on a GPU, up to `HALF_NODES`.
         """
         count = len(mesh.nodes)
         mat33 = matrix_of(real)

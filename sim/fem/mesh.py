@@ -112,11 +112,6 @@ class Mesh:
         empty = np.pad(self.fraction == 0, 1, constant_values=True)
         return np.asarray(empty[1:, 1:] & empty[:-1, 1:] & empty[1:, :-1] & empty[:-1, :-1])
 
-    @property
-    def base(self) -> NDArray[np.int64]:
-        """Node numbers of the bonded base, in no particular order."""
-        return np.flatnonzero(~self.free)
-
 
 def cell_counts(body: Body, spacing: float) -> tuple[int, int, int]:
     """Return the numbers of elements of about `spacing` [m] along x, y, z."""

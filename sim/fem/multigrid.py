@@ -106,47 +106,10 @@ def _factor_kernel(real):
 
 
 @functools.cache
-def column_functions(real):
-    """Return `eliminated` and `substituted`, which solve a column forwards and backwards."""
-    vec3 = vector_of(real)
-    factors_type = factors_struct(real)
-
-    @wp.func
-    def eliminated(
-        factors: factors_type,
-        env: int,
-        column: int,
-        k: int,
-        n: int,
-        y: vec3,
-        y_out: wp.array2d(dtype=vec3),
-    ):
-        """Store `y`, the solution by L at the column's node k; return its part to subtract next."""
-        y_out[env, n] = y
-        return wp.transpose(factors.upper[env, column, k]) * y
-
-    @wp.func
-    def substituted(
-        factors: factors_type,
-        y: wp.array2d(dtype=vec3),
-        env: int,
-        column: int,
-        k: int,
-        n: int,
-        z: vec3,
-    ):
-        """Return the solution at the column's node k, from L's in `y` and `z`, that above it."""
-        return factors.pivot[env, column, k] * y[env, n] - factors.upper[env, column, k] * z
-
-    return eliminated, substituted
-
-
-@functools.cache
 def _column_kernels(real, on_gpu: bool):
     """Return the kernels (step, sweep); on a CPU the second takes the step as well."""
     vec3 = vector_of(real)
     factors_type = factors_struct(real)
-    eliminated, substituted = column_functions(real)
     lanes = BLOCK if on_gpu else 1
 
     @wp.func
@@ -190,12 +153,16 @@ def _column_kernels(real, on_gpu: bool):
                 n = column * levels + k
                 if wp.static(not on_gpu):
                     stepped(env, n, scalars, p, product, solution_out, r_out)
-                coupled = eliminated(factors, env, column, k, n, r_out[env, n] - coupled, z_out)
+                y = r_out[env, n] - coupled  # the solution by L
+                z_out[env, n] = y
+                coupled = wp.transpose(factors.upper[env, column, k]) * y
             z = vec3()
             for j in range(levels):
                 k = levels - 1 - j
                 n = column * levels + k
-                z = substituted(factors, z_out, env, column, k, n, z)
+                z = factors.pivot[env, column, k] * z_out[env, n] - (
+                    factors.upper[env, column, k] * z
+                )
                 z_out[env, n] = z
                 rz += wp.float64(wp.dot(r_out[env, n], z))
                 rr += wp.float64(wp.dot(r_out[env, n], r_out[env, n]))
@@ -249,13 +216,8 @@ class Factors:
 
     def make(self, active, matrix) -> None:
         """Factor the columns of active environments, from the blocks (B, N, 27) of the tangent."""
-        wp.launch(
-            self._kernel,
-            dim=(self._environments, self.columns),
-            inputs=[self._free, active, matrix],
-            outputs=[self.arrays],
-            device=self._device,
-        )
+        columns, inputs = (self._environments, self.columns), [self._free, active, matrix]
+        wp.launch(self._kernel, columns, inputs, [self.arrays], device=self._device)
 
 
 # Multigrid: columns on the mesh, corrected on ever coarser grids in plan.
@@ -355,7 +317,6 @@ def _kernels(real, parallel: bool):
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
     axis_type, weights_type = _interpolation_structs(real)
-    eliminated, substituted = column_functions(real)
     line = row_function(real, real, not parallel)
     omega = real(SMOOTHING)
     batched = kernel(group=f"sim.fem.multigrid.{real.__name__}.{parallel}")
@@ -414,13 +375,15 @@ def _kernels(real, parallel: bool):
         coupled = vec3()
         for k in range(levels):
             n = column * levels + k
-            coupled = eliminated(factors, env, column, k, n, rhs[env, n] - coupled, y_out)
+            y = rhs[env, n] - coupled
+            y_out[env, n] = y
+            coupled = wp.transpose(factors.upper[env, column, k]) * y
         rz = wp.float64(0.0)
         z = vec3()
         for j in range(levels):
             k = levels - 1 - j
             n = column * levels + k
-            z = substituted(factors, y_out, env, column, k, n, z)
+            z = factors.pivot[env, column, k] * y_out[env, n] - factors.upper[env, column, k] * z
             total = z * omega
             if add == 1:
                 total += z_out[env, n]

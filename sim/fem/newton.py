@@ -486,18 +486,10 @@ def _cg_kernels(real, lanes: int):
 class ConjugateGradient:
     """Solver of tangent x = residual for B environments of N nodes; it owns its vectors.
 
-    Args:
-        real: Warp's scalar type.
-        environments: B.
-        nodes: N.
-        device: Device of the vectors.
-        matrix: Tangent: `product(which, p, product, sums)` writes tangent p and the partial sums
-            of p . tangent p, (B, `matrix.parts`, 1), for the environments `which` (R,).
-        preconditioner: `choose(running)` sets and returns the number of `grids` that the running
-            environments, by index, need; `advance` steps along p and writes z and the partial sums
-            of r.z and r.r, (B, `preconditioner.parts`, 2).
-        gather: Launch fewer rows as environments end; by default for more than one on a GPU.
-        record: Record iterations as a graph; both may only launch kernels then.
+    The tangent is a `BlockMatrix`, or what has its `product` and `parts`; the preconditioner a
+    `Multigrid`, or what has its `choose`, `advance`, `grids` and `parts`. `gather` launches fewer
+    rows as environments end, by default for more than one on a GPU; `record` makes iterations a
+    graph, in which both may only launch kernels.
     """
 
     def __init__(
@@ -517,12 +509,10 @@ class ConjugateGradient:
         self._device = wp.get_device(device)
         self._matrix, self._preconditioner = matrix, preconditioner
         self._shape = shape
-        self.solution = wp.zeros(shape, dtype=vec3, device=device)
-        """Solution (B, N)."""
-        self._r = wp.zeros(shape, dtype=vec3, device=device)
-        self._p = wp.zeros(shape, dtype=vec3, device=device)
-        self._z = wp.zeros(shape, dtype=vec3, device=device)
-        self._product = wp.zeros(shape, dtype=vec3, device=device)
+        # Vectors (B, N); `solution` is the result.
+        self.solution, self._r, self._p, self._z, self._product = (
+            wp.zeros(shape, dtype=vec3, device=device) for _ in range(5)
+        )
         parts = environments, matrix.parts, 1
         self._along = wp.zeros(parts, dtype=wp.float64, device=device)
         parts = environments, preconditioner.parts, 2

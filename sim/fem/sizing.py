@@ -230,16 +230,11 @@ def _slopes(values: Array, axis: int) -> Array:
 def _runs(mask: Mask, on_body: Mask, across: Array, edges: Array, pieces: Array) -> list[Array]:
     """Return spans of the runs of touched pixels along x, and of their end edges.
 
-    Args:
-        mask: Pixels that touch, of each piece (P, X, Y).
-        on_body: Pixels on the body (X, Y): a contact that ends at the body's rim has an edge there.
-        across: Cosine between x and the outline's normal (P, X, Y).
-        edges: Boundaries between the pixels (X + 1,).
-        pieces: Frame of each piece, width, size across it, and size at its outline (4, P). A run
-            much longer than the piece is wide is refined to that only at its ends.
-
-    Returns:
-        Tables of spans: frame, low, high, size (N, 4).
+    Pixels of each piece touch where `mask` (P, X, Y) says so; a contact that ends at the rim of
+    those `on_body` (X, Y) has an edge there. `across` is the cosine between x and the outline's
+    normal (P, X, Y), `edges` are between pixels (X + 1,). `pieces` (4, P) has the frame of each
+    piece, its width, and the sizes across it and at its outline: a run much longer than the piece
+    is wide is refined to the latter only at its ends. Tables have frame, low, high, size (N, 4).
     """
     framed = np.zeros((len(mask), mask.shape[1] + 2, mask.shape[2]), np.int8)
     framed[:, 1:-1] = mask
@@ -407,31 +402,24 @@ def stages_of(scene: Scene) -> list[MotionStage]:
     solve. Up to there nothing is different, so a beginning may be solved alone with any effects.
     """
     looks = _looks(scene)
-    touching = [look for look in looks if look is not None and look.top < math.inf]
     count = len(scene.motion)
-    if not touching:
+    if all(look.top == math.inf for look in looks):
         return [MotionStage(count, NOTHING)]
     stages: list[MotionStage] = []
     while True:
-        earlier = [look for look in looks[:count] if look is not None and look.top < math.inf]
-        if not earlier:
+        tops = {i: look.top for i, look in enumerate(looks[:count]) if look.top < math.inf}
+        if not tops:
             return stages
-        least_size = max(look.top for look in earlier) / MANY_SIZES
+        least_size = max(tops.values()) / MANY_SIZES
         joined = NOTHING
-        for look in [*earlier, *(looks[len(scene.motion) :] if not stages else [])]:
-            if look is not None:
-                joined = joined.joined(_no_finer(look, least_size))
+        for look in looks[:count] if stages else looks:
+            joined = joined.joined(_no_finer(look, least_size))
         stages.append(MotionStage(count, replace(joined, x=_least(joined.x), y=_least(joined.y))))
-        before = 0
-        for index, look in enumerate(looks[:count]):
-            if look is None or look.top >= math.inf:
-                continue
-            if look.top >= least_size:
-                break
-            before = index + 1
-        if before == 0:
+        first = next(i for i, top in tops.items() if top >= least_size)
+        smaller = [i for i in tops if i < first]
+        if not smaller:
             return stages
-        count = before
+        count = smaller[-1] + 1
 
 
 def _no_finer(sizes: Sizes, least_size: float) -> Sizes:
@@ -446,10 +434,10 @@ def _no_finer(sizes: Sizes, least_size: float) -> Sizes:
     return replace(sizes, x=x, y=y, top=least_size)
 
 
-def _looks(scene: Scene) -> list[Sizes | None]:
+def _looks(scene: Scene) -> list[Sizes]:
     """Return the sizes for the contact at each waypoint, then for points along long slides.
 
-    Similar contacts are estimated once. None means a tip above the body, or beyond the limit of
+    Similar contacts are estimated once. `NOTHING` also stands for those beyond the limit of
     estimates per motion.
     """
     waypoints = np.asarray(scene.motion.tip)
@@ -461,7 +449,7 @@ def _looks(scene: Scene) -> list[Sizes | None]:
         parts = 1 + min(4, int(np.linalg.norm((end - start)[:2]) / max(depth, 1e-9)))
         ways += [start + (end - start) * part / parts for part in range(1, parts)]
     tips = np.array([*waypoints, *ways])
-    sizes_at: list[Sizes | None] = [None] * len(tips)
+    sizes_at = [NOTHING] * len(tips)
     estimated: list[tuple[Array, float, Sizes]] = []
     for index in np.argsort(tips[:, 2], kind="stable").tolist():
         tip = tips[index]
@@ -505,7 +493,8 @@ def _look(indenter: Indenter, body: Body, at: tuple[float, ...]) -> Sizes:
     width = np.maximum(width, longest * NARROW_PIXELS / WINDOW_MOST)
     count = WINDOW * (2 if longest > NARROW * width.min() else 1)
     count = max(count, min(math.ceil(NARROW_PIXELS * longest / width.min()), WINDOW_MOST))
-    here = _thickness_under(body, tip)
+    here = body.thickness + body.height(*_onto(body, tip))
+    here = here if here < THIN * body.thickness else body.thickness
     thickness = float(np.clip(here, 1e-4, LAYERS * width.min()))
     window = Body(
         size_x=float(width[0]),
@@ -529,12 +518,6 @@ def _look(indenter: Indenter, body: Body, at: tuple[float, ...]) -> Sizes:
 
 # Height of a dome over the thickness below which a contact there counts as on a thinner layer.
 THIN = 0.5
-
-
-def _thickness_under(body: Body, tip: Array) -> float:
-    """Return the body's height under a tip (3,) if much below the thickness; else the thickness."""
-    here = body.thickness + body.height(*_onto(body, tip))
-    return here if here < THIN * body.thickness else body.thickness
 
 
 def _heights(body: Body, x: Array, y: Array) -> Array:
@@ -573,12 +556,8 @@ def extent_of(
 
     The extent is found on a grid of points and widened by the grid spacing. A shape between the
     points, such as a corner that has just touched, is looked for where they are closest to it.
-
-    Args:
-        outside: Maps x (X,), y (Y,), a level, 0 (lowest) to 1, and columns (X, Y) to the columns'
-            signed distances from the shape at the level (N,), inf where there is no point.
-        low: Least x and y of the box (2,).
-        high: Greatest x and y (2,).
+    `outside` maps x (X,), y (Y,), a level, 0 (lowest) to 1, and columns (X, Y) to the columns'
+    signed distances from the shape at the level (N,), inf where there is no point.
     """
     closer, passes = CLOSER, PASSES
     while True:

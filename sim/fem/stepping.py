@@ -4,7 +4,6 @@
 
 import json
 import math
-import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -12,7 +11,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from pathlib import Path as File
 from typing import Any
 
 import numpy as np
@@ -38,7 +36,7 @@ from sim.fem.outcome import (
     shares,
 )
 from sim.fem.sizing import Sizes, finer_at
-from sim.result import Outcome, width_of
+from sim.result import Outcome, dumped, width_of
 from sim.scene import Scene
 
 # Samples along a side of a face at which overlap is measured, for frames and for intermediate
@@ -681,16 +679,9 @@ class Batch:
         sums, residual, depth = assembly.sums, self._newton.residual, -self._tip[:, 2]
         for row, (i, frame) in enumerate(reached.items()):
             deep, node = folds.get(i, (0.0, -1))
-            host = (
-                *(
-                    depth[i],
-                    residual[i],
-                    sums["base"][i],
-                    sums["det"][i],
-                    assembly.min_force_scale[i],
-                ),
-                *(deep, node, self._spent[i]),
-            )
+            least = assembly.min_force_scale[i]
+            state = depth[i], residual[i], sums["base"][i], sums["det"][i], least
+            host = *state, deep, node, self._spent[i]
             self._collectors[i].keep(frame, read[row], surface[row], traction[row], host)
             self._unmeasured.append(self._collectors[i])
             self._spent[i] = Spent()
@@ -709,18 +700,12 @@ class Batch:
     def _diverged(self, env: int, through: Passed | None = None) -> SimulationDiverged:
         path, scene = self._paths[env], self._scenes[env]
         state = self._assembly.state
-        dump: File | None = None
-        try:
-            dump = File(tempfile.mkdtemp(prefix="diverged-")) / "state.npz"
-            np.savez_compressed(
-                dump,
-                scene=json.dumps(repr(scene)),
-                tip=state.tip_before[env] * scene.body.thickness,
-                u=state.contact.u_old.numpy()[env] * scene.body.thickness,
-                nodes=self._meshes[env].nodes * scene.body.thickness,
-            )
-        except OSError:
-            dump = None
+        dump = dumped(
+            scene=json.dumps(repr(scene)),
+            tip=state.tip_before[env] * scene.body.thickness,
+            u=state.contact.u_old.numpy()[env] * scene.body.thickness,
+            nodes=self._meshes[env].nodes * scene.body.thickness,
+        )
         tip = path.corners[path.segment] + path.fraction * (
             path.corners[path.segment + 1] - path.corners[path.segment]
         )

@@ -247,8 +247,6 @@ class PartTable:
 
     struct: Any
     """Table for the function from `distance_function`."""
-    count: int
-    """Number of environments."""
     traits: IndenterTraits
     """Traits for `distance_function`."""
 
@@ -306,7 +304,7 @@ class PartTable:
         if traits.sampled:
             for name, (values, dtype) in _fields(kinds, unit, real).items():
                 setattr(struct, name, array(values, dtype))
-        return cls(struct=struct, count=len(indenters), traits=traits)
+        return cls(struct, traits)
 
 
 def _numbers(part: Any, unit: float) -> list[float]:

@@ -12,14 +12,12 @@ import numpy as np
 
 from sim.errors import SceneError
 from sim.indenters.indenter import Indenter
-from sim.indenters.outline import Part
 from sim.indenters.shapes import (
     NAMES,
-    TIP_PLANE,
     bar,
-    block,
     box,
     cone,
+    dots_on_plate,
     extruded,
     flat_punch,
     named,
@@ -113,19 +111,8 @@ def _dots(random: _Random) -> Indenter:
     count, radius = int(random.integers(2, 7)), _mm(random, 0.8, 2.0)
     away = max(_mm(random, 2.0, 4.5), 1.3 * radius / math.sin(math.pi / count))
     begin = random.uniform(0, math.tau)
-    dots = tuple(
-        Part(
-            "turned",
-            "circle",
-            (0.0, radius, radius),
-            "union",
-            axis=(away * math.cos(angle), away * math.sin(angle)),
-        )
-        for angle in (begin + index * math.tau / count for index in range(count))
-    )
-    width = 2 * (away + radius) + 1 * _MM
-    plate = replace(TIP_PLANE, values=(0.0, -1.0, -min(radius, 1 * _MM)))
-    return Indenter("dots", (*block(width, width), plate, *dots))
+    drop, width = min(radius, 1 * _MM), 2 * (away + radius) + 1 * _MM
+    return dots_on_plate(count, radius, away, begin, drop=drop, width=width)
 
 
 _FAMILIES: tuple[Callable[[_Random], Indenter], ...] = (

@@ -100,11 +100,9 @@ class PlacedPart:
 
 
 def assembled(data: bytes, name: str) -> tuple[Array, Array]:
-    """Return vertices (V, 3) [mm] and triangles (F, 3) of the union of a file's parts.
+    """Return vertices (V, 3) [mm] and triangles (F, 3) of the union of a YAML file's parts.
 
-    Args:
-        data: Content of the YAML file.
-        name: Its name, for messages.
+    Messages have the file's `name`.
 
     Raises:
         SceneError: It lists no parts, or one of them is wrong.

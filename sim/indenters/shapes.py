@@ -162,20 +162,18 @@ def _dotin() -> Indenter:
     return Indenter("dotin", parts, narrowest=2 * MM)
 
 
-def _dots() -> Indenter:
-    """Return five hemispheres on a pentagon, on a plate 1 above their tips."""
-    plate = Part("side", "half_plane", (0.0, -1.0, -1 * MM))
-    dots = tuple(
-        Part(
-            "turned",
-            "circle",
-            (0.0, 1 * MM, 1 * MM),
-            "union",
-            axis=(3 * MM * math.cos(angle), 3 * MM * math.sin(angle)),
-        )
-        for angle in (math.pi + corner * math.tau / 5 for corner in range(5))
-    )
-    return Indenter("dots", (*block(14 * MM, 14 * MM), plate, *dots))
+def dots_on_plate(
+    count: int, radius: float, away: float, begin: float, *, drop: float, width: float
+) -> Indenter:
+    """Return hemispheres on a circle `away` from the axis, the first at an angle `begin` [rad].
+
+    Their square plate, `width` wide, is `drop` above their tips; lengths in [m].
+    """
+    plate = replace(TIP_PLANE, values=(0.0, -1.0, -drop))
+    angles = [begin + index * math.tau / count for index in range(count)]
+    axes = [(away * math.cos(angle), away * math.sin(angle)) for angle in angles]
+    dots = [Part("turned", "circle", (0.0, radius, radius), "union", axis=axis) for axis in axes]
+    return Indenter("dots", (*block(width, width), plate, *dots))
 
 
 def _wave() -> Indenter:
@@ -285,7 +283,7 @@ _TABLE: dict[str, tuple[Callable[[], Indenter], float]] = {
     "cylinder_si": (lambda: bar(3 * MM, 14 * MM), 0.3),
     "torus": (lambda: torus(3 * MM, 1.5 * MM), 0.0),
     "dotin": (_dotin, 0.3),
-    "dots": (_dots, 0.3),
+    "dots": (lambda: dots_on_plate(5, MM, 3 * MM, math.pi, drop=MM, width=14 * MM), 0.3),
     "wave": (_wave, 0.3),
     "prism": (lambda: box(5 * MM, 7 * MM), 0.3),
     "line": (lambda: box(2 * MM, 16 * MM), 0.3),

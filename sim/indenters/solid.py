@@ -317,12 +317,8 @@ def level_surface(
 
     This is dual contouring (Ju et al. 2002). Every crossed cell gets one vertex, where the planes
     of the surface at the crossed edges meet, so that corners and edges between flat faces are
-    exact. Triangles are not oriented and may overlap, which does not matter for distances.
-
-    Args:
-        values: Distance at the nodes.
-        grid: The nodes.
-        function: Returns distance (N,) and gradient (N, 3) at places (N, 3) near the surface.
+    exact. Triangles are not oriented and may overlap, which does not matter for distances. The
+    function returns distance (N,) and gradient (N, 3) at places (N, 3) near the surface.
     """
     lower, axis = _crossed_edges(values <= 0)
     upper = lower + np.eye(3, dtype=np.int64)[axis]

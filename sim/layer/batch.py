@@ -207,7 +207,7 @@ class LayerBatch:
         coefficients = [each.coefficient if each else 0.0 for each in friction_of]
         layer = self._layer = layer_struct(real)()
         layer.ny = ny
-        layer.table = self._array(kernel[:, :nx, :ny].astype(self._number), real)
+        layer.table = self._array(kernel[:, :nx, :ny], real)
         layer.local = vec3(*(min(kernel[0, 0, 0], kernel[1, 0, 0]),) * 2, kernel[2, 0, 0])
         layer.coefficient = self._array(coefficients, real)
         self._contact = contact_kernel(real, friction, self._lanes)
@@ -287,7 +287,9 @@ class LayerBatch:
         self._seconds = {"build": time.perf_counter() - began}
 
     def _array(self, values: Any, kind: Any) -> Any:
-        return wp.array(np.ascontiguousarray(values), dtype=kind, device=self._device)
+        scalar = {wp.int32: np.int32, wp.vec4i: np.int32, wp.vec3d: np.float64}
+        plain = np.ascontiguousarray(values, scalar.get(kind, self._number))
+        return wp.array(plain, dtype=kind, device=self._device)
 
     def _launch(self, kernel: Any, shape: Any, inputs: list[Any], outputs: list[Any]) -> None:
         wp.launch(kernel, dim=shape, inputs=inputs, outputs=outputs, device=self._device)
@@ -307,15 +309,15 @@ class LayerBatch:
         least = wp.full(
             len(self._scenes), self._real(np.inf), dtype=self._real, device=self._device
         )
-        which = self._array(rows.astype(np.int32), wp.int32)
-        tip = self._array(tips.astype(self._number), self._vec3)
+        which = self._array(rows, wp.int32)
+        tip = self._array(tips, self._vec3)
         self._clearance.at(which, tip, top, fields, least)
         return least
 
     def _measured(self, rows: Whole, load: Any = None, moved: Any = None) -> Any:
         """Return `READ` of presses (N,); of the load and its displacement, if they are given."""
         out = wp.empty((len(rows), COLUMNS), dtype=wp.float64, device=self._device)
-        which = self._array(rows.astype(np.int32), wp.int32)
+        which = self._array(rows, wp.int32)
         tip = self._array(self.tip[rows], wp.vec3d)
         samples, fields = self._clearance.samples, self._now
         if load is not None:
@@ -422,7 +424,7 @@ class LayerBatch:
         factor = 1 + gained.sum(axis=1)
         least = self._clear_at(rows, tips, ahead, self._still)
         step = self._rates(rows, factor, decay, gained)
-        travel = self._array((tips - self.tip[rows]).astype(self._number), self._vec3)
+        travel = self._array(tips - self.tip[rows], self._vec3)
         allowed = OVERLAP * np.abs(tips[:, 2])
         inputs = [BULGE, step, ahead, self._now, least]
         self._launch(self._mark, (count, pixels), inputs, [self._touching])
@@ -433,9 +435,7 @@ class LayerBatch:
             some = rows[pending]
             if len(pending) < count:
                 step = self._rates(some, factor[pending], decay[pending], gained[pending])
-                travel = self._array(
-                    (tips[pending] - self.tip[some]).astype(self._number), self._vec3
-                )
+                travel = self._array(tips[pending] - self.tip[some], self._vec3)
             missed = self._solve(step, len(pending), travel, allowed[pending])
             residual[pending] = _host(self._residual)[some]
             iterations[pending] += _host(self._iterations)[some]
@@ -468,9 +468,9 @@ class LayerBatch:
     def _rates(self, rows: Whole, factor: Array, decay: Array, gained: Array) -> Any:
         """Return the struct of a step: presses, and how their layers relax in it."""
         step = step_struct(self._real)()
-        step.which = self._array(rows.astype(np.int32), wp.int32)
+        step.which = self._array(rows, wp.int32)
         for name, values in (("factor", factor), ("decay", decay), ("gained", gained)):
-            setattr(step, name, self._array(values.astype(self._number), self._real))
+            setattr(step, name, self._array(values, self._real))
         return step
 
     def _solve(self, step: Any, count: int, travel: Any, allowed: Array) -> NDArray[np.bool_]:
@@ -496,7 +496,7 @@ class LayerBatch:
     def _displaced(self, step: Any, count: int, allowed: Array) -> NDArray[np.bool_]:
         """Write the displacement by the listed loads; return whether other pixels overlap (N,)."""
         missed = wp.zeros(count, dtype=wp.int32, device=self._device)
-        room = self._array(allowed.astype(self._number), self._real)
+        room = self._array(allowed, self._real)
         self._launch(
             self._displace,
             (count, self._still.shape[1]),
@@ -508,11 +508,11 @@ class LayerBatch:
     def _keep_frames(self, rows: Whole) -> None:
         """Keep the states of presses (N,) as their next frames."""
         frame = self._frame[rows]
-        which = self._array(rows.astype(np.int32), wp.int32)
+        which = self._array(rows, wp.int32)
         self._launch(
             self._keep,
             (len(rows), self._still.shape[1]),
-            [which, self._array(frame.astype(np.int32), wp.int32), self._now],
+            [which, self._array(frame, wp.int32), self._now],
             [self._surfaces, self._tractions],
         )
         read, area = self._read[rows], self.grid.area
@@ -547,7 +547,7 @@ class LayerBatch:
             (len(rows), *widest),
             [
                 self.grid.shape[1], *self.grid.pixel, which,
-                self._array(boxes.astype(np.int32), wp.vec4i), self._now.traction,
+                self._array(boxes, wp.vec4i), self._now.traction,
             ],
             [width],
         )  # fmt: skip
@@ -611,7 +611,7 @@ class LayerBatch:
             quality = no_quality(len(scene.motion))
             for name, values in self._quality.items():
                 quality[name] = values[row, frames]
-            spent = self._spent[row, frames]
+            quality["newton"], quality["steps"] = self._spent[row, frames].T
             outcomes.append(
                 Result(
                     scene=scene,
@@ -621,12 +621,7 @@ class LayerBatch:
                     surface_y=self.grid.y.astype(np.float64),
                     surface=surfaces[row, frames],
                     traction=tractions[row, frames],
-                    quality=Quality(
-                        **quality,
-                        newton=spent[:, 0],
-                        cg=np.zeros(len(spent), np.int64),
-                        steps=spent[:, 1],
-                    ),
+                    quality=Quality(**quality),
                     record={**record, "effects": list(scene.effects.key)},
                 )
             )

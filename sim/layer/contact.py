@@ -209,15 +209,6 @@ REACH = 2e-3
 THIN = 1 / 200
 
 
-@dataclass(frozen=True, slots=True)
-class HeightSamples:
-    """Heights of an indenter at even places: origin + (first + k) * step along x and y."""
-
-    first: tuple[int, int]
-    heights: Array
-    """Heights (n, m) [m], inf where there is nothing to touch."""
-
-
 @lru_cache(maxsize=64)
 def _samples(
     indenter: Indenter,
@@ -225,8 +216,12 @@ def _samples(
     step: tuple[float, float],
     span: float,
     reach: float,
-) -> HeightSamples:
-    """Return all samples of an indenter that lie within `span` of its axis [m]; cached."""
+) -> tuple[tuple[int, int], Array]:
+    """Return the heights of an indenter within `span` of its axis [m]; cached.
+
+    They are at even places, origin + (first + k) * step along x and y: the first along both, and
+    the heights (n, m) [m], inf where there is nothing to touch.
+    """
     first, axes = [], []
     for start, width, (low, high) in zip(
         origin, step, indenter.bounds_below(reach)[:2], strict=True
@@ -238,7 +233,7 @@ def _samples(
         first.append(int(index[0]))
         axes.append(start + index * width)
     heights = indenter.heights(axes[0][:, None], axes[1], reach=reach, thinnest=THIN)
-    return HeightSamples((first[0], first[1]), heights)
+    return (first[0], first[1]), heights
 
 
 def endless(indenter: Indenter) -> bool:
@@ -264,14 +259,13 @@ class Rims:
         # Samples lie symmetrically about the indenter's middle.
         (west, east), (south, north), _ = indenter.bounds_below(reach)
         origin = (west + east) / 2, (south + north) / 2
-        samples = _samples(indenter, origin, self._step, span, reach)
-        heights = samples.heights
+        begins, heights = _samples(indenter, origin, self._step, span, reach)
         lowest = minimum_filter(heights, [many // 2 * 2 + 1 for many in count], mode="nearest")
         with np.errstate(invalid="ignore"):
             covered = np.isfinite(heights) & (heights - lowest < WALL / 2 * max(grid.pixel))
         self._first = tuple(
             start + (first - 0.5) * step
-            for start, first, step in zip(origin, samples.first, self._step, strict=True)
+            for start, first, step in zip(origin, begins, self._step, strict=True)
         )
         self._edges = tuple(
             np.r_[centres - pixel / 2, centres[-1] + pixel / 2]
@@ -340,18 +334,18 @@ class Clearance:
             )
         )
         reach = REACH * math.ceil(self._cap / REACH)
-        sampled = _samples(indenter, (origin[0], origin[1]), self._step, span, reach)
+        begins, heights = _samples(indenter, (origin[0], origin[1]), self._step, span, reach)
         self._heights = np.full(widths, self._cap)
         ours, theirs = zip(
             *(
                 _common(mine, count, its, many)
                 for mine, count, its, many in zip(
-                    self._first, widths, sampled.first, sampled.heights.shape, strict=True
+                    self._first, widths, begins, heights.shape, strict=True
                 )
             ),
             strict=True,
         )
-        self._heights[ours] = np.minimum(sampled.heights[theirs], self._cap)
+        self._heights[ours] = np.minimum(heights[theirs], self._cap)
         self._rims = None if endless(indenter) else Rims(indenter, grid, span, reach)
 
     def at(self, tip: Array) -> tuple[Array, Array]:

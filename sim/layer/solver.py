@@ -1,11 +1,9 @@
 """Solver of the `layer` tier: linear elastic, a few milliseconds per step."""
 
 import math
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +13,7 @@ from sim.errors import SceneError, SimulationDiverged
 from sim.layer import Layer
 from sim.layer.contact import Clearance, Contact, solve_frictional, solve_frictionless
 from sim.layer.spectral import PixelGrid, convolutions
-from sim.result import Quality, Result, no_quality, width_of
+from sim.result import Quality, Result, dumped, no_quality, width_of
 from sim.scene import Scene, Viscosity
 
 # History of a relaxing layer: the stress in its Maxwell branches, per pixel.
@@ -139,14 +137,7 @@ def diverged_at(
 
     That has the traction (3, nx, ny) [Pa] and the displacement (3, nx, ny) [m] before the step.
     """
-    dump: Path | None = None
-    try:
-        dump = Path(tempfile.mkdtemp(prefix="diverged-")) / "state.npz"
-        np.savez_compressed(
-            dump, scene=repr(scene), tip=tip, traction=traction, displacement=displacement
-        )
-    except OSError:
-        dump = None
+    dump = dumped(scene=repr(scene), tip=tip, traction=traction, displacement=displacement)
     x, y, z = tip * 1e3
     return SimulationDiverged(
         f"no converged state after the tip at ({x:.4g}, {y:.4g}, {z:.4g}) mm: "
@@ -364,7 +355,6 @@ class LayerFrames:
         self._surface = np.zeros((count, *press.grid.shape, 3), np.float32)
         self._traction = np.zeros((count, *press.grid.shape, 3), np.float32)
         self._quality = no_quality(count)
-        self._newton, self._steps = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self._start: tuple[float, float] | None = None
         self._work_most = 0.0
 
@@ -384,7 +374,8 @@ class LayerFrames:
         quality["contact"][frame] = overlap / -press.tip[2] if press.tip[2] < 0 else 0.0
         quality["energy_gap"][frame] = self._lost()
         quality["slip_excess"][frame] = press.slip_excess
-        self._newton[frame], self._steps[frame] = press.spent.iterations, press.spent.steps
+        quality["newton"][frame] = press.spent.iterations
+        quality["steps"][frame] = press.spent.steps
         press.spent = MoveCost()
 
     def _lost(self) -> float:
@@ -406,12 +397,7 @@ class LayerFrames:
             surface_y=grid.y.astype(np.float64),
             surface=self._surface,
             traction=self._traction,
-            quality=Quality(
-                **self._quality,
-                newton=self._newton,
-                cg=np.zeros_like(self._newton),
-                steps=self._steps,
-            ),
+            quality=Quality(**self._quality),
             record=record,
         )
 

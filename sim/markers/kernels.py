@@ -4,7 +4,6 @@
 
 import functools
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
@@ -89,6 +88,13 @@ AREA_LEAST = 1e-9
 RUN = 32
 
 
+def _filled(kernel, shape: tuple[int, ...], dtype, inputs, device) -> wp.array:
+    """Return the output of a kernel with a thread for each of its elements."""
+    out = wp.empty(shape, dtype=dtype, device=device)
+    wp.launch(kernel, shape, inputs, [out], device=device)
+    return out
+
+
 @wp.func
 def fractions(a: wp.vec3, b: wp.vec3, c: wp.vec3, column: float, row: float):
     """Return barycentric coordinates of a pixel's centre; -inf or NaN if there is no area."""
@@ -124,25 +130,21 @@ def cover_triangle(
                 wp.atomic_max(number, frame, row, column, offer)
 
 
-@functools.cache
-def _cover_kernel():
-    @wp.kernel(enable_backward=False, module="unique")
-    def cover(
-        # In: column, row, nearness
-        vertex: wp.array3d[wp.vec3],
-        # Out: number of each pixel
-        number_out: wp.array3d[wp.int64],
-    ):
-        frame, i, j = wp.tid()
-        a = vertex[frame, i, j]
-        b = vertex[frame, i + 1, j]
-        c = vertex[frame, i + 1, j + 1]
-        d = vertex[frame, i, j + 1]
-        first = ((i << CELL_BITS) | j) << 1
-        cover_triangle(number_out, frame, first, a, b, c)
-        cover_triangle(number_out, frame, first + 1, a, c, d)
-
-    return cover
+@wp.kernel(enable_backward=False, module="unique")
+def _cover(
+    # In: column, row, nearness
+    vertex: wp.array3d[wp.vec3],
+    # Out: number of each pixel
+    number_out: wp.array3d[wp.int64],
+):
+    frame, i, j = wp.tid()
+    a = vertex[frame, i, j]
+    b = vertex[frame, i + 1, j]
+    c = vertex[frame, i + 1, j + 1]
+    d = vertex[frame, i, j + 1]
+    first = ((i << CELL_BITS) | j) << 1
+    cover_triangle(number_out, frame, first, a, b, c)
+    cover_triangle(number_out, frame, first + 1, a, c, d)
 
 
 def see_triangles(vertex) -> wp.array:
@@ -154,13 +156,7 @@ def see_triangles(vertex) -> wp.array:
         )
     shape = (frames, HEIGHT, WIDTH)
     number = wp.full(shape, NOTHING, dtype=wp.int64, device=vertex.device)
-    wp.launch(
-        _cover_kernel(),
-        dim=(frames, x - 1, y - 1),
-        inputs=[vertex],
-        outputs=[number],
-        device=vertex.device,
-    )
+    wp.launch(_cover, (frames, x - 1, y - 1), [vertex], [number], device=vertex.device)
     return number
 
 
@@ -269,46 +265,34 @@ def distance_at(textures: Distances, pattern: int, place: wp.vec2):
     return wp.lerp(low, high, up)
 
 
-@functools.cache
-def _mask_kernel():
-    @wp.kernel(enable_backward=False, module="unique")
-    def pack(
-        # In:
-        textures: Distances,
-        material: wp.array3d[wp.vec2],
-        # Out: eight pixels per byte, the first in the highest bit
-        packed_out: wp.array3d[wp.uint8],
-    ):
-        frame, pattern, byte = wp.tid()
-        row = byte * BITS // WIDTH
-        first = byte * BITS % WIDTH
-        bits = wp.int32(0)
-        middle = material[frame, row, first + BITS // 2]
-        far = distance_at(textures, pattern, middle)
-        for k in range(BITS):
-            place = material[frame, row, first + k]
-            here = far
-            # The bilinear distance changes by at most sqrt 2 times the way.
-            if not 2.0 * wp.length_sq(place - middle) < far * far:
-                here = distance_at(textures, pattern, place)
-            bits = 2 * bits + wp.where(here <= 0.0, 1, 0)
-        packed_out[frame, pattern, byte] = wp.uint8(bits)
-
-    return pack
+@wp.kernel(enable_backward=False, module="unique")
+def _pack(
+    # In:
+    textures: Distances,
+    material: wp.array3d[wp.vec2],
+    # Out: eight pixels per byte, the first in the highest bit
+    packed_out: wp.array3d[wp.uint8],
+):
+    frame, pattern, byte = wp.tid()
+    row = byte * BITS // WIDTH
+    first = byte * BITS % WIDTH
+    bits = wp.int32(0)
+    middle = material[frame, row, first + BITS // 2]
+    far = distance_at(textures, pattern, middle)
+    for k in range(BITS):
+        place = material[frame, row, first + k]
+        here = far
+        # The bilinear distance changes by at most sqrt 2 times the way.
+        if not 2.0 * wp.length_sq(place - middle) < far * far:
+            here = distance_at(textures, pattern, place)
+        bits = 2 * bits + wp.where(here <= 0.0, 1, 0)
+    packed_out[frame, pattern, byte] = wp.uint8(bits)
 
 
 def packed_masks(material, textures: Textures) -> wp.array:
     """Return packed masks (F, P, H W / 8) uint8 of every frame and pattern."""
     shape = (material.shape[0], len(textures), HEIGHT * WIDTH // BITS)
-    packed = wp.empty(shape, dtype=wp.uint8, device=material.device)
-    wp.launch(
-        _mask_kernel(),
-        dim=shape,
-        inputs=[distances_of(textures), material],
-        outputs=[packed],
-        device=material.device,
-    )
-    return packed
+    return _filled(_pack, shape, wp.uint8, [distances_of(textures), material], material.device)
 
 
 @wp.func
@@ -330,63 +314,42 @@ def distance_beside(
     return distance_at(textures, pattern, place)
 
 
-@functools.cache
-def _coverage_kernel():
-    @wp.kernel(enable_backward=False, module="unique")
-    def cover(
-        # In:
-        textures: Distances,
-        material: wp.array3d[wp.vec2],
-        # Out: 255 for a fully covered pixel
-        coverage_out: wp.array4d[wp.uint8],
-    ):
-        frame, pattern, row, column = wp.tid()
-        fraction = wp.float32(0.0)
-        here = distance_at(textures, pattern, material[frame, row, column])
-        if wp.isfinite(here):
-            left = distance_beside(material, frame, row, column - 1, textures, pattern, here)
-            right = distance_beside(material, frame, row, column + 1, textures, pattern, here)
-            above = distance_beside(material, frame, row - 1, column, textures, pattern, here)
-            below = distance_beside(material, frame, row + 1, column, textures, pattern, here)
-            change = wp.length(wp.vec2(right - left, below - above)) * 0.5
-            fraction = wp.where(here <= 0.0, 1.0, 0.0)
-            if change > FLAT:
-                fraction = wp.clamp(0.5 - here / change, 0.0, 1.0)
-        coverage_out[frame, pattern, row, column] = wp.uint8(fraction * 255.0 + 0.5)
-
-    return cover
+@wp.kernel(enable_backward=False, module="unique")
+def _shade(
+    # In:
+    textures: Distances,
+    material: wp.array3d[wp.vec2],
+    # Out: 255 for a fully covered pixel
+    coverage_out: wp.array4d[wp.uint8],
+):
+    frame, pattern, row, column = wp.tid()
+    fraction = wp.float32(0.0)
+    here = distance_at(textures, pattern, material[frame, row, column])
+    if wp.isfinite(here):
+        left = distance_beside(material, frame, row, column - 1, textures, pattern, here)
+        right = distance_beside(material, frame, row, column + 1, textures, pattern, here)
+        above = distance_beside(material, frame, row - 1, column, textures, pattern, here)
+        below = distance_beside(material, frame, row + 1, column, textures, pattern, here)
+        change = wp.length(wp.vec2(right - left, below - above)) * 0.5
+        fraction = wp.where(here <= 0.0, 1.0, 0.0)
+        if change > FLAT:
+            fraction = wp.clamp(0.5 - here / change, 0.0, 1.0)
+    coverage_out[frame, pattern, row, column] = wp.uint8(fraction * 255.0 + 0.5)
 
 
 def coverages(material, textures: Textures) -> wp.array:
     """Return each pixel's coverage by markers (F, P, H, W) uint8, 255 if complete."""
     shape = (material.shape[0], len(textures), HEIGHT, WIDTH)
-    coverage = wp.empty(shape, dtype=wp.uint8, device=material.device)
-    wp.launch(
-        _coverage_kernel(),
-        dim=shape,
-        inputs=[distances_of(textures), material],
-        outputs=[coverage],
-        device=material.device,
-    )
-    return coverage
+    return _filled(_shade, shape, wp.uint8, [distances_of(textures), material], material.device)
 
 
 # Projection of the top's material points: (frame, x, y) -> column, row, nearness.
 
 
-@dataclass(frozen=True, slots=True)
-class DeviceTop:
-    """A `Top` on a device."""
-
-    x: wp.array
-    y: wp.array
-    height: wp.array
-
-    @classmethod
-    def of(cls, top: Top, device):
-        """Copy a `Top` to the device."""
-        values = (top.x, top.y, top.height)
-        return cls(*(wp.array(value.astype(np.float32), device=device) for value in values))
+def top_on(device, top: Top) -> list[wp.array]:
+    """Return x, y and height of a `Top` on a device."""
+    values = (top.x, top.y, top.height)
+    return [wp.array(value.astype(np.float32), device=device) for value in values]
 
 
 @wp.struct
@@ -420,44 +383,32 @@ def moved_by(surface: wp.array3d[wp.vec3], frame: int, taps: PlaneTaps, i: int, 
     return total
 
 
-@functools.cache
-def _kernel():
-    @wp.kernel(enable_backward=False, module="unique")
-    def vertices(
-        # Settings:
-        lens: Lens,
-        # Undeformed top:
-        x: wp.array[float],
-        y: wp.array[float],
-        height: wp.array2d[float],
-        taps: PlaneTaps,
-        # In: displacement
-        surface: wp.array3d[wp.vec3],
-        # Out: column, row, nearness
-        vertex_out: wp.array3d[wp.vec3],
-    ):
-        frame, i, j = wp.tid()
-        moved = moved_by(surface, frame, taps, i, j)
-        vertex_out[frame, i, j] = projected(lens, wp.vec3(x[i], y[j], height[i, j]) + moved)
-
-    return vertices
+@wp.kernel(enable_backward=False, module="unique")
+def _project(
+    # Settings:
+    lens: Lens,
+    # Undeformed top:
+    x: wp.array[float],
+    y: wp.array[float],
+    height: wp.array2d[float],
+    taps: PlaneTaps,
+    # In: displacement
+    surface: wp.array3d[wp.vec3],
+    # Out: column, row, nearness
+    vertex_out: wp.array3d[wp.vec3],
+):
+    frame, i, j = wp.tid()
+    moved = moved_by(surface, frame, taps, i, j)
+    vertex_out[frame, i, j] = projected(lens, wp.vec3(x[i], y[j], height[i, j]) + moved)
 
 
 def see_vertices(
-    lens: Lens, top: DeviceTop, taps_x: CubicTaps, taps_y: CubicTaps, surface
+    lens: Lens, top: list[wp.array], taps_x: CubicTaps, taps_y: CubicTaps, surface
 ) -> wp.array:
-    """Return vertices (F, N, M) of the displaced top; `surface` is (F, X, Y) of vec3 [m]."""
+    """Return vertices (F, N, M) of the displaced `top_on`; `surface` is (F, X, Y) of vec3 [m]."""
     device = surface.device
-    shape = (surface.shape[0], len(top.x), len(top.y))
-    out = wp.empty(shape, dtype=wp.vec3, device=device)
-    wp.launch(
-        _kernel(),
-        dim=shape,
-        inputs=[lens, top.x, top.y, top.height, plane_taps(taps_x, taps_y, device), surface],
-        outputs=[out],
-        device=device,
-    )
-    return out
+    inputs = [lens, *top, plane_taps(taps_x, taps_y, device), surface]
+    return _filled(_project, (surface.shape[0], *top[-1].shape), wp.vec3, inputs, device)
 
 
 # Displacement field in the image, on a lattice of the image without contact.
@@ -478,27 +429,23 @@ def lattice_points(lattice: Lattice, camera: Camera, body: Body) -> tuple[np.nda
     return np.stack([x, y, body.heights_at(x, y)], axis=1), on_gel
 
 
-@functools.cache
-def _displacement_kernel():
-    @wp.kernel(enable_backward=False, module="unique")
-    def displacement(
-        # Settings:
-        lens: Lens,
-        # Places:
-        place: wp.array[wp.vec3],
-        taps: PlaneTaps,
-        # In:
-        surface: wp.array3d[wp.vec3],
-        # Out: displacement of each place in columns and rows
-        displacement_out: wp.array2d[wp.vec2],
-    ):
-        frame, k = wp.tid()
-        moved = moved_by(surface, frame, taps, k, k)
-        before = projected(lens, place[k])
-        after = projected(lens, place[k] + moved)
-        displacement_out[frame, k] = wp.vec2(after[0] - before[0], after[1] - before[1])
-
-    return displacement
+@wp.kernel(enable_backward=False, module="unique")
+def _displace(
+    # Settings:
+    lens: Lens,
+    # Places:
+    place: wp.array[wp.vec3],
+    taps: PlaneTaps,
+    # In:
+    surface: wp.array3d[wp.vec3],
+    # Out: displacement of each place in columns and rows
+    displacement_out: wp.array2d[wp.vec2],
+):
+    frame, k = wp.tid()
+    moved = moved_by(surface, frame, taps, k, k)
+    before = projected(lens, place[k])
+    after = projected(lens, place[k] + moved)
+    displacement_out[frame, k] = wp.vec2(after[0] - before[0], after[1] - before[1])
 
 
 def displacements(
@@ -506,13 +453,6 @@ def displacements(
 ) -> wp.array:
     """Return image displacements (F, n) vec2 [px] of material points, with one tap per point."""
     device = surface.device
-    out = wp.empty((surface.shape[0], len(places)), dtype=wp.vec2, device=device)
     on_device = wp.array(places.astype(np.float32), dtype=wp.vec3, device=device)
-    wp.launch(
-        _displacement_kernel(),
-        dim=out.shape,
-        inputs=[lens, on_device, plane_taps(taps_x, taps_y, device), surface],
-        outputs=[out],
-        device=device,
-    )
-    return out
+    inputs = [lens, on_device, plane_taps(taps_x, taps_y, device), surface]
+    return _filled(_displace, (surface.shape[0], len(places)), wp.vec2, inputs, device)

@@ -13,7 +13,6 @@ from sim.arrays import Array
 from sim.errors import SceneError
 from sim.markers.camera import Camera
 from sim.markers.kernels import (
-    DeviceTop,
     coverages,
     displacements,
     find_material,
@@ -22,6 +21,7 @@ from sim.markers.kernels import (
     packed_masks,
     see_triangles,
     see_vertices,
+    top_on,
 )
 from sim.markers.pattern import Pattern
 from sim.markers.textures import Textures
@@ -101,7 +101,7 @@ class Renderer:
             )
         self.device = device
         self._top = top_of(body, spacing)
-        self._device_top = DeviceTop.of(self._top, device)
+        self._device_top = top_on(device, self._top)
         self._lens = lens_of(self.camera)
 
     def textures(self, patterns: Sequence[Pattern]) -> Textures:

@@ -77,14 +77,14 @@ def cubic_taps(axis: Array, places: Array, *, name: str = "axis") -> CubicTaps:
             further outside.
     """
     _check(axis, places, name)
-    slope = _slopes(axis)
     count = len(axis)
+    unit = np.eye(count)
+    slope = np.gradient(unit, axis, axis=0, edge_order=2)
     cell = np.clip(np.searchsorted(axis, places, side="right") - 1, 0, count - 2)
     width = axis[cell + 1] - axis[cell]
     fraction = (places - axis[cell]) / width
     inside = np.clip(fraction, 0, 1)
     beyond = (fraction - inside) * width
-    unit = np.eye(count)
     start, end = unit[cell], unit[cell + 1]
     start_slope, end_slope = slope[cell], slope[cell + 1]
     t = inside[:, None]
@@ -94,19 +94,6 @@ def cubic_taps(axis: Array, places: Array, *, name: str = "axis") -> CubicTaps:
     first = np.clip(cell - 1, 0, count - TAPS)
     weights = np.take_along_axis(weight, first[:, None] + np.arange(TAPS), axis=1)
     return CubicTaps(first.astype(np.int32), weights.astype(np.float32))
-
-
-def _slopes(axis: Array) -> Array:
-    """Return weights (m, m) of the values in the slope at each place."""
-    count = len(axis)
-    near = np.clip(np.arange(count), 1, count - 2)[:, None] + np.arange(-1, 2)
-    three = axis[near]
-    one, other = three[:, [1, 0, 0]], three[:, [2, 2, 1]]
-    # Derivatives of the Lagrange parabolas, each of which is 1 at one of the three places.
-    weight = (2 * axis[:, None] - one - other) / ((three - one) * (three - other))
-    slope = np.zeros((count, count))
-    np.put_along_axis(slope, near, weight, axis=1)
-    return slope
 
 
 def _check(axis: Array, places: Array, name: str) -> None:

@@ -7,7 +7,7 @@ in `sim.mpm.solver`.
 from dataclasses import dataclass
 from typing import Literal, Self
 
-from sim.errors import SceneError, check_range, make_plain
+from sim.errors import SceneError, check_choice, check_range, make_plain
 from sim.scene import Body
 
 # Our settings. Particles per cell and dimension.
@@ -67,15 +67,8 @@ class Mpm:
 
     def __post_init__(self) -> None:
         make_plain(self)
-        for name, allowed in (
-            ("published", ("tacchi", "genforce", None)),
-            ("precision", ("float32", "float64")),
-        ):
-            if getattr(self, name) not in allowed:
-                raise SceneError(
-                    f"mpm.{name}: {getattr(self, name)!r}; allowed: "
-                    + ", ".join(repr(value) for value in allowed)
-                )
+        check_choice("mpm.published", self.published, (*AUTHORS_SPACING, None))
+        check_choice("mpm.precision", self.precision, ("float32", "float64"))
         if self.cell is not None:
             check_range("mpm", "cell", self.cell, 1e-6, 1.0, unit="m")
             if self.published is not None:

@@ -132,19 +132,6 @@ def _grid(
     return (x + 2 * room + 1, y + 2 * room + 1, BASE_NODE + z + room + 1), (room, room, BASE_NODE)
 
 
-def same_body(scenes: Sequence[Scene]) -> Body:
-    """Return the body whose shape all scenes share."""
-    first = scenes[0].body
-    for index, scene in enumerate(scenes):
-        for name in ("size_x", "size_y", "thickness", "dome_radius"):
-            if getattr(scene.body, name) != getattr(first, name):
-                raise SceneError(
-                    f"scenes[{index}].body.{name}: {getattr(scene.body, name)!r}; allowed: "
-                    f"{getattr(first, name)!r}, as in the batch's first scene"
-                )
-    return first
-
-
 # Mass of the body, duration of a time step, and the step of each waypoint.
 
 # Tip speed over wave speed above which a press does not count as quasi-static.
@@ -231,8 +218,7 @@ def pace_of(scene: Scene, numerics: Mpm, cell: float) -> Pace:
 
 def wave_speed(body: Body, mass_scaling: float = 1.0) -> float:
     """Return the speed of pressure waves, sqrt((K + 4/3 G) / density) [m/s]."""
-    stiffness = body.bulk_modulus + 4 / 3 * body.shear_modulus
-    return math.sqrt(stiffness / (body.density * mass_scaling))
+    return math.sqrt(body.wave_modulus / (body.density * mass_scaling))
 
 
 def _corners(scene: Scene) -> Array:

@@ -11,7 +11,7 @@ import warp as wp
 from sim.device import check_device
 from sim.errors import SceneError, SimulationDiverged
 from sim.mpm import Mpm
-from sim.mpm.lattice import QUASI_STATIC, Pace, build_lattice, pace_of, same_body
+from sim.mpm.lattice import QUASI_STATIC, Pace, build_lattice, pace_of
 from sim.mpm.state import (
     COLLAPSED,
     LEFT_GRID,
@@ -57,7 +57,6 @@ class PressFrames:
         self._wrench = np.full((frames, 6), np.nan)
         self._surface = np.full((frames, nx, ny, 3), np.nan, np.float32)
         self._quality = no_quality(frames)
-        self._steps = np.zeros(frames, np.int64)
         self._readings = np.zeros((pace.steps, 9))
         self._velocity = _tip_velocity(pace, state.lattice.cell)
         self._kinetic_share = 0.0
@@ -78,7 +77,7 @@ class PressFrames:
         """Store the state of this environment after step `at[frame]` as that frame."""
         units, pace, quality = self._units, self._pace, self._quality
         end, before = int(pace.at[frame + 1]), int(pace.at[frame])
-        self._steps[frame] = end - (before if frame else 0)
+        quality["steps"][frame] = end - (before if frame else 0)
         push, base = np.zeros(6), np.zeros(3)
         if end > 0:
             first = max(end - max(pace.window, 1), min(before, end - 1))
@@ -134,12 +133,7 @@ class PressFrames:
             surface_y=self._lattice.surface_y,
             surface=self._surface,
             traction=np.full_like(self._surface, np.nan),
-            quality=Quality(
-                **self._quality,
-                newton=np.zeros_like(self._steps),
-                cg=np.zeros_like(self._steps),
-                steps=self._steps,
-            ),
+            quality=Quality(**self._quality),
             record={**record, "kinetic_over_stored": self._kinetic_share},
         )
 
@@ -182,9 +176,7 @@ def simulate_mpm(
     scenes = list(scenes)
     if not scenes:
         return []
-    same_body(scenes)
-    _check_bodies(scenes)
-    _same_effects(scenes)
+    _check(scenes)
     check_device(device)
     began = time.perf_counter()
     lattice = build_lattice(scenes, numerics)
@@ -303,9 +295,17 @@ def _warnings(scene: Scene, pace: Pace, numerics: Mpm, lost: float) -> list[str]
     return warnings
 
 
-def _check_bodies(scenes: Sequence[Scene]) -> None:
+def _check(scenes: Sequence[Scene]) -> None:
+    """Reject scenes that the tier does not support, or that are no batch."""
+    first = scenes[0]
     for index, scene in enumerate(scenes):
         body, key = scene.body, f"scenes[{index}].body"
+        for name in ("size_x", "size_y", "thickness", "dome_radius"):
+            if getattr(body, name) != getattr(first.body, name):
+                raise SceneError(
+                    f"{key}.{name}: {getattr(body, name)!r}; allowed: "
+                    f"{getattr(first.body, name)!r}, as in the batch's first scene"
+                )
         if body.footprint != "rectangle":
             raise SceneError(
                 f"{key}.footprint: {body.footprint!r}; allowed with tier 'mpm': 'rectangle'"
@@ -316,19 +316,14 @@ def _check_bodies(scenes: Sequence[Scene]) -> None:
                 f"mm at the corners; allowed with tier 'mpm': {100 * RIM_LEAST:g} % of the "
                 "thickness or more"
             )
-
-
-def _same_effects(scenes: Sequence[Scene]) -> None:
-    first = scenes[0].effects
-    for index, scene in enumerate(scenes):
         for name in ("viscosity", "inertia", "gravity"):
             effect = getattr(scene.effects, name)
             if effect is not None:
                 raise SceneError(
                     f"scenes[{index}].effects.{name}: {effect!r}; allowed with tier 'mpm': None"
                 )
-        if scene.effects.key != first.key:
+        if scene.effects.key != first.effects.key:
             raise SceneError(
-                f"scenes[{index}].effects: {scene.effects.key}; allowed: {first.key}, as in the "
-                "batch's first scene"
+                f"scenes[{index}].effects: {scene.effects.key}; allowed: {first.effects.key}, as "
+                "in the batch's first scene"
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,9 @@ from sim.sensors.pins import tip_coverage
 from sim.sensors.sensor import CameraSignal, SimulatedSensor
 from sim.sensors.taxels import Counts, TaxelPad, TaxelSignal
 from sim.sensors.variation import Placement, SegmentationErrors, generator
+
+if TYPE_CHECKING:
+    from sim.markers.renderer import View
 
 Masks = NDArray[np.bool_]
 # Distance between taxels in the image of discs [columns] (`recorder.markers.draw_discs`).
@@ -109,19 +113,15 @@ class CameraReadout:
 
     def coverage(self, top: SurfaceField) -> NDArray[np.uint8]:
         """Return each pixel's coverage by markers (F, P, 480, 640), 255 if complete."""
-        visible = self.visible(top)
-        if self._signal.pins is not None:
-            return np.stack([self._tips(visible, pattern) for pattern in self._patterns], axis=1)
-        view = self._renderer.see(visible.x, visible.y, visible.displacement)
-        return view.coverage(self._textures)
+        if self._signal.pins is None:
+            return self._view(top).coverage(self._textures)
+        tips = self.visible(top)
+        return np.stack([self._tips(tips, pattern) for pattern in self._patterns], axis=1)
 
     def masks(self, top: SurfaceField, first: int = 0) -> Masks:
         """Return masks (F, P, 480, 640), with segmentation errors if the sensor has them."""
         if not self._segmentation_errors and self._signal.pins is None:
-            visible = self.visible(top)
-            return self._renderer.see(visible.x, visible.y, visible.displacement).masks(
-                self._textures
-            )
+            return self._view(top).masks(self._textures)
         coverage = self.coverage(top)
         if not self._segmentation_errors:
             return coverage >= COVERED
@@ -135,8 +135,7 @@ class CameraReadout:
         """Return the same masks as packed bits (F, P, 38400), without intermediate unpacking."""
         if self._segmentation_errors or self._signal.pins is not None:
             return pack(self.masks(top, first))
-        visible = self.visible(top)
-        return self._renderer.see(visible.x, visible.y, visible.displacement).packed(self._textures)
+        return self._view(top).packed(self._textures)
 
     def displacement(self, top: SurfaceField) -> NDArray[np.float16]:
         """Return the displacement (F, rows, columns, 2) [px] of points on a lattice of pixels.
@@ -145,6 +144,10 @@ class CameraReadout:
         """
         visible = self.visible(top)
         return self._renderer.displacement(visible.x, visible.y, visible.displacement)
+
+    def _view(self, top: SurfaceField) -> View:
+        visible = self.visible(top)
+        return self._renderer.see(visible.x, visible.y, visible.displacement)
 
     def _tips(self, tips: SurfaceField, pattern: Pattern) -> NDArray[np.uint8]:
         """Return the coverage (F, 480, 640) by rigid, round tips of pins."""

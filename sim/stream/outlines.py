@@ -28,9 +28,6 @@ SHARES = np.outer([1.0, 4.0, 1.0], [1.0, 4.0, 1.0]).ravel() / 36.0
 class LiveMarkers:
     """Markers of a sensor's first pattern.
 
-    Args:
-        sensor: Sensor with a camera.
-
     Raises:
         SceneError: The sensor has no camera.
     """
@@ -52,11 +49,7 @@ class LiveMarkers:
         self._places = np.column_stack([at, sensor.body.heights_at(*at.T)])
 
     def outlines(self, moved: Array) -> Array:
-        """Return column and row of the points of every rim (markers, POINTS, 2) [px].
-
-        Args:
-            moved: Displacement of `points` (n, 3) [m].
-        """
+        """Return column and row of rims (markers, POINTS, 2) [px]; `points` moved by (n, 3) [m]."""
         if self._pins is not None:
             return self._round(tips_of(self._pins, np.asarray(moved, float)))
         pixels: Array = self._camera.project(self._places + moved)
@@ -74,13 +67,9 @@ class LiveMarkers:
 def tips_of(pins: Pins, moved: Array) -> Array:
     """Return the displacement of pin tips (n, 3) [m], as `Pins.tips` on a fine grid.
 
+    `moved` (9 n, 3) [m] is that of the skin at `NODES` about each pin, in standard deviations.
     Under a Gaussian weight of standard deviation s the mean slope of u is the mean of u x / s^2
     (Stein's identity), here by three-point Gauss-Hermite quadrature along each axis.
-
-    Args:
-        pins: The pins.
-        moved: Displacement of the skin at `NODES` about each pin, in standard deviations (9 n, 3)
-            [m].
     """
     values = moved.reshape(-1, len(NODES), 3)
     slopes = np.einsum("npc,pk->nkc", values, SHARES[:, None] * NODES) / _spread(pins)
@@ -96,12 +85,7 @@ def _spread(pins: Pins) -> float:
 
 
 class Sampler:
-    """Values of a grid at some points, by cubic interpolation.
-
-    Args:
-        grid: Points of the values.
-        points: Places (n, 2) [m].
-    """
+    """Values of a grid at some points (n, 2) [m], by cubic interpolation."""
 
     def __init__(self, grid: PixelGrid, points: Array) -> None:
         x, y = (np.asarray(axis, np.float64) for axis in (grid.x, grid.y))

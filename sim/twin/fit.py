@@ -75,16 +75,27 @@ UNIDENTIFIED = 0.7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fit:
+class Uncertainty:
+    """Uncertainty of quantities after some presses."""
+
+    names: tuple[str, ...]
+    covariance: Array
+    """(p, p), of logarithms where `is_log` says so."""
+
+    @property
+    def spreads(self) -> dict[str, float]:
+        """Standard deviation of each quantity, or of its logarithm."""
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit(Uncertainty):
     """Result of a fit."""
 
     design: SimulatedSensor
     """Sensor from which it began, with friction and viscosity."""
-    names: tuple[str, ...]
     values: Mapping[str, float]
     """All quantities, in SI."""
-    covariance: Array
-    """(p, p), of logarithms where `is_log` says so."""
     tracks: tuple[PressTrack, ...]
     readings: tuple[Array, ...]
     """Forces that the twin gives (n, 3) [N], of each track."""
@@ -99,11 +110,6 @@ class Fit:
     rounds: int
     tier: ContactTier = "layer"
     """`fem` if its forces corrected those of tier `layer`."""
-
-    @property
-    def spreads(self) -> dict[str, float]:
-        """Standard deviation of each quantity, or of its logarithm."""
-        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     @property
     def unidentified(self) -> tuple[str, ...]:

@@ -12,7 +12,15 @@ from sim.errors import SceneError
 from sim.layer.spectral import FEWEST
 from sim.sensors import SimulatedSensor
 from sim.sensors.quantities import quantities
-from sim.twin.fit import BENCH, COARSER, Data, information, prior_spread, with_effects
+from sim.twin.fit import (
+    BENCH,
+    COARSER,
+    Data,
+    Uncertainty,
+    information,
+    prior_spread,
+    with_effects,
+)
 from sim.twin.model import TrackModel
 from sim.twin.observations import PressTrack, track_of
 from trajectories import PressShear
@@ -90,17 +98,8 @@ def planned_presses(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Expected:
+class Expected(Uncertainty):
     """Uncertainty that a fit to some presses is expected to have."""
-
-    names: tuple[str, ...]
-    covariance: Array
-    """(p, p), as of `Fit`."""
-
-    @property
-    def spreads(self) -> dict[str, float]:
-        """Standard deviation of each quantity, or of its logarithm."""
-        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     @property
     def volume(self) -> float:

@@ -24,7 +24,7 @@ from learning.training.optim import Constant
 from learning.training.run import METRICS, LaunchSettings, RunFolder, accelerator
 from learning.translation.diffusion import train as translator
 from learning.translation.diffusion.discriminator import ClipFeatures, DiscriminatorHeads
-from learning.translation.diffusion.network import MarkerVae, build
+from learning.translation.diffusion.network import MarkerVae, build, vae_adapter_of
 from learning.translation.diffusion.train import (
     DiffusionLossWeights,
     TranslatorSettings,
@@ -138,7 +138,7 @@ def test_the_discriminator_does_not_learn_from_the_generators_loss() -> None:
 def test_a_translator_starts_from_the_trained_autoencoder_in_all_three_places() -> None:
     images = striped_pairs().images
     few = tiny_vae_settings("vae_rank=3", "marker_vae.steps=1")
-    adapter = train_vae(images, tiny_pretrained().vae, few).adapter()
+    adapter = vae_adapter_of(train_vae(images, tiny_pretrained().vae, few).state_dict())
     made = tiny_pretrained()
     state = build(made.unet, made.vae, tiny_settings(), vae_adapter=adapter).state_dict()
     assert any(float(each.abs().max()) > 0 for name, each in adapter.items() if "lora_B" in name)

@@ -15,7 +15,7 @@ from safetensors.torch import load_file, save_file
 from support.tiny_diffusion import SIDE, VGG, tiny_pretrained, tiny_settings, write_base
 
 from learning.errors import LearningError
-from learning.training.checkpoint import read_model_folder
+from learning.training.checkpoint import read_model_folder, read_plain
 from learning.translation.diffusion.authors import import_checkpoint
 from learning.translation.diffusion.network import (
     UNET_TARGETS,
@@ -30,7 +30,6 @@ from learning.translation.diffusion.weights import (
     fingerprint,
     read_clip,
     read_perceptual,
-    read_plain,
     read_unet,
     read_vae,
 )

@@ -1,6 +1,5 @@
 """The contract of force models, which ours and one of another package keep."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -10,7 +9,7 @@ import pytest
 import torch
 from support.commands import run_module
 from support.force_models import TOY, noise_presses, toy
-from support.foreign_model import foreign_package
+from support.foreign_model import installed
 from support.made_up_archives import made_up_archive
 from support.training import session
 
@@ -29,6 +28,7 @@ from learning.training.run import RunFolder
 from learning.translation.loading import hash_of
 
 FOREIGN = "mean-force"
+foreign = installed()
 
 
 SETTINGS = {
@@ -39,12 +39,6 @@ SETTINGS = {
         network=replace(TOY.network, encoder_norm="batch", tail_norm="batch"),
     ),
 }
-
-
-@pytest.fixture(scope="module", autouse=True)
-def foreign(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with foreign_package(tmp_path_factory.mktemp("site")):
-        yield
 
 
 @dataclass(frozen=True)

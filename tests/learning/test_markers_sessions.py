@@ -1,6 +1,5 @@
 """Sessions converted to archives: labels, references, locations, flags, resuming, and errors."""
 
-import hashlib
 import json
 import math
 from pathlib import Path
@@ -10,6 +9,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from PIL import Image
+from support.copies import digests
 from support.dot_camera import MarkerCamera
 from support.learning_sessions import DEPTH, HIDDEN, TARGETS, altered, record, state, surface
 from support.marker_truth import VIEWS
@@ -55,11 +55,6 @@ def archive(camera: Path, tmp_path_factory: pytest.TempPathFactory) -> MarkerArc
 def made(out: Path, *sessions: Path, **options: Any) -> MarkerArchive:
     archive_sessions(list(sessions), out, **options)
     return MarkerArchive(out)
-
-
-def digests(path: Path) -> dict[str, str]:
-    files = (entry for entry in path.rglob("*") if entry.is_file())
-    return {str(f.relative_to(path)): hashlib.sha256(f.read_bytes()).hexdigest() for f in files}
 
 
 def hidden(session: Path) -> Any:

@@ -51,7 +51,7 @@ def _train(folder: Path, until: int) -> Net:
     seed_torch(toy.seed, "weights")
     net = Net(toy.width)
     optimiser = torch.optim.AdamW(net.parameters())
-    rate = Cosine(1e-2, toy.steps, warm_up=5)
+    rate = Cosine(1e-2, steps=toy.steps, warm_up=5)
     run = RunFolder.open(folder, "force", toy, "data")
     done = run.restore({"model": net}, {"optimiser": optimiser})
     for step in range(done, until):

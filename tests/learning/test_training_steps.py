@@ -64,7 +64,7 @@ def test_a_rate_is_that_of_the_authors() -> None:
 
 
 def test_rates_rise_and_fall() -> None:
-    rate = Cosine(1.0, 110, warm_up=10)
+    rate = Cosine(1.0, steps=110, warm_up=10)
     assert rate.at(0) == pytest.approx(1 / 11)
     assert rate.at(10) == pytest.approx(1.0)
     assert rate.at(60) == pytest.approx(0.5)

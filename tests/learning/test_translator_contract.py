@@ -1,12 +1,11 @@
 """The contract of translators, which ours and one of another package keep."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import torch
 from support.commands import run_module
-from support.foreign_model import foreign_package
+from support.foreign_model import installed
 from support.made_up_archives import archive_of
 from support.tiny_diffusion import DEEP_VAE, tiny_pretrained, tiny_settings, write_base
 from support.tiny_field import tiny, untrained
@@ -22,6 +21,7 @@ from learning.translation.loading import hash_of
 from recorder import MarkerArchive
 
 archive = archive_of(indenters=("sphere",), unseen=(), targets=1, frames_per_phase=1)
+foreign = installed()
 
 
 @pytest.fixture(scope="module")
@@ -35,12 +35,6 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = RunFolder.open(folder / "diffusion", "diffusion", settings, "x", metadata=metadata)
     run.finish(1, {"model": build(pretrained.unet, pretrained.vae, settings)})
     return folder
-
-
-@pytest.fixture(scope="module", autouse=True)
-def foreign(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with foreign_package(tmp_path_factory.mktemp("site")):
-        yield
 
 
 @pytest.fixture(scope="module", params=("flow", "field", "diffusion", "still"))

@@ -31,12 +31,7 @@ def sampled(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return device times [s], arrivals [ns] and numbers of a stream with delays and stalls.
 
-    Args:
-        rate_hz: Declared rate.
-        seconds: Duration [s].
-        actual: Actual rate as a fraction of the declared one.
-        jitter: Mean delay of a sample in periods.
-        seed: Seed of the delays.
+    Its actual rate is a fraction of the declared one, and its mean delay `jitter` periods.
     """
     rng = np.random.default_rng(seed)
     count = int(rate_hz * actual * seconds)

@@ -65,14 +65,7 @@ def each_device(request: pytest.FixtureRequest) -> Device:
 
 
 class Place:
-    """One device at the addresses of a test.
-
-    Args:
-        device: The device.
-        host: Loopback address.
-        folder: Folder for the links of ptys.
-        images: Pictures that a camera shows.
-    """
+    """One device at the loopback address of a test, with links of ptys in its own folder."""
 
     def __init__(self, device: Device, host: str, folder: Path, images: Path) -> None:
         self.device = device

@@ -272,15 +272,13 @@ RATE = 1000.0
 PERIOD = SECOND_NS // 1000
 
 
-def polled(
-    delays_ns: list[int], every: int = 10, start_ns: int = 5 * SECOND_NS, drift: float = 0.0
-) -> np.ndarray:
+def polled(delays_ns: list[int], drift: float = 0.0) -> np.ndarray:
     """Return the times of all samples; the host receives the end of each block `delays_ns` late."""
-    timeline = SampleTimeline(RATE)
+    timeline, every = SampleTimeline(RATE), 10
     times = []
     for k, delay_ns in enumerate(delays_ns, start=1):
         newest = k * every - 1
-        taken_ns = start_ns + round(newest * PERIOD * (1 + drift))
+        taken_ns = 5 * SECOND_NS + round(newest * PERIOD * (1 + drift))
         timeline.observe(newest, taken_ns + delay_ns)
         times.append(timeline.take(newest - every + 1, every))
     return np.concatenate(times)

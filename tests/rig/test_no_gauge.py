@@ -5,6 +5,7 @@ import io
 import math
 import multiprocessing
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -27,7 +28,7 @@ from rig.acquire.calibration.store import (
 )
 from rig.acquire.collector import CollectRequest
 from rig.acquire.signal_level import SignalLevel, grey
-from rig.acquire.stream_process import COUNTERS, StreamJob, _StreamLoop
+from rig.acquire.stream_process import COUNTERS, _StreamLoop
 from rig.bench.bench import Bench, BenchFile, bench_from
 from rig.bench.expected import Skin
 from rig.bench.guards import (
@@ -284,10 +285,7 @@ def test_a_surface_that_is_uneven_or_elsewhere_is_refused(
 ) -> None:
     found = touches(*([(z + off, 1e-6) for off in (-1e-6, 1e-6)] for z in heights))
     assert found.surface.width < 30e-6
-    if text is None:
-        no_gauge.check_surface(found, shift)
-        return
-    with pytest.raises(SafetyStop, match=text):
+    with pytest.raises(SafetyStop, match=text) if text else nullcontext():
         no_gauge.check_surface(found, shift)
 
 
@@ -308,10 +306,7 @@ def test_a_lab_bench_needs_a_fresh_and_narrow_surface(
         date or now_utc(), "m", False, "", (0.0,) * 6, (0.0,) * 6, 0.0, (0.0, width), ()
     )
     calibration = Calibration(None if date is None else home, file="c.yaml")
-    if text is None:
-        no_gauge.check_home(bench, calibration, "tactile home")
-        return
-    with pytest.raises(ConfigError, match=text):
+    with pytest.raises(ConfigError, match=text) if text else nullcontext():
         no_gauge.check_home(bench, calibration, "tactile home")
 
 
@@ -361,7 +356,7 @@ def test_a_zero_is_for_the_guard_and_not_for_what_is_averaged(tmp_path: Path) ->
     ours, theirs = multiprocessing.Pipe()
     driver: Any = SimpleNamespace(dropped=0)
     clock = FakeClock(SECOND_NS)
-    loop = _StreamLoop(StreamJob(name, bench, tmp_path), theirs, driver, clock)
+    loop = _StreamLoop(name, bench, tmp_path, theirs, driver, clock)
     bias = np.array([3.0, -2.0, 4.0, 0.0, 0.0, 0.0])
 
     def measured() -> np.ndarray:

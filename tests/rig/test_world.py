@@ -198,9 +198,9 @@ def test_a_sticky_skin_pulls_and_a_creeping_one_yields() -> None:
     assert crept / clean == pytest.approx(0.8, abs=0.02)
 
 
-def gauged(seconds: float, depth: float = -2e-3, at: float = 0.0) -> np.void:
+def gauged(seconds: float, at: float = 0.0) -> np.void:
     state = np.zeros(1, WORLD_STATE)[0]
-    state["t_ns"], state["depth"], state["contact"] = SECOND * (1 + seconds), depth, (at, 0.0)
+    state["t_ns"], state["depth"], state["contact"] = SECOND * (1 + seconds), -2e-3, (at, 0.0)
     state["wrench"] = (0.1, 0.2, -1.0, 0.01, 0.02, 0.03)
     return state
 

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.copies import digests
 from support.simulated_archives import (
     COARSE,
     LAYER,
     LIVED,
     SKINS,
-    digests,
     make,
     own_grid,
     solved_once,

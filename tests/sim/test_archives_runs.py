@@ -17,7 +17,8 @@ from typing import Any
 
 import pytest
 from support.commands import python
-from support.simulated_archives import SKINS, UNITS, digests, make, own_grid, solved_once
+from support.copies import digests
+from support.simulated_archives import SKINS, UNITS, make, own_grid, solved_once
 
 from recorder import MarkerArchive, check
 from recorder.processes import WorkerLost

@@ -20,6 +20,7 @@ from sim import (
     Viscosity,
     simulate,
 )
+from sim.effect_sizes import weakened
 from sim.fem import Fem
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import build_mesh
@@ -133,7 +134,7 @@ def _plain() -> Result:
 
 def _difference(name: str, fraction: float) -> float:
     """Return the change of the last force by the effect [N]."""
-    weak = ALL[name].weakened(fraction)
+    weak = weakened(ALL[name], fraction)
     result = simulate(_scene(Effects(**{name: weak})), TIGHT)
     return float(np.linalg.norm(result.wrench[-1, :3] - _plain().wrench[-1, :3]))
 
@@ -151,9 +152,9 @@ def test_a_weak_effect_changes_the_force_in_proportion_to_its_parameter(name: st
 
 def test_weakening_by_one_changes_nothing_and_by_zero_leaves_nothing() -> None:
     for effect in ALL.values():
-        assert effect.weakened(1.0) == effect
-    assert ALL["friction"].weakened(0.0).coefficient == 0
-    assert ALL["viscosity"].weakened(0.0).ratios == (0.0, 0.0)
-    assert ALL["viscosity"].weakened(0.5).times == ALL["viscosity"].times
-    assert ALL["inertia"].weakened(0.0).scale == 0
-    assert ALL["gravity"].weakened(0.0).acceleration == (0.0, 0.0, 0.0)
+        assert weakened(effect, 1.0) == effect
+    assert weakened(ALL["friction"], 0.0).coefficient == 0
+    assert weakened(ALL["viscosity"], 0.0).ratios == (0.0, 0.0)
+    assert weakened(ALL["viscosity"], 0.5).times == ALL["viscosity"].times
+    assert weakened(ALL["inertia"], 0.0).scale == 0
+    assert weakened(ALL["gravity"], 0.0).acceleration == (0.0, 0.0, 0.0)

@@ -128,7 +128,6 @@ def test_far_away_the_gap_is_a_lower_bound_that_is_far_too(indenters: list[Inden
 
 def test_equal_indenters_are_stored_once() -> None:
     table = PartTable.pack([named("moon"), plane(), named("moon")], UNIT, wp.float32, "cpu")
-    assert table.count == 3
     assert table.struct.indenter.numpy().tolist() == [0, 1, 0]
     assert table.struct.first.numpy().tolist() == [0, 2, 3]
 

@@ -12,10 +12,10 @@ X = np.concatenate([np.linspace(-10e-3, -3e-3, 8), np.linspace(-2.4e-3, 10e-3, 2
 Y = np.linspace(-8e-3, 8e-3, 25)
 
 
-def field_of(function: object, x: Array = X, y: Array = Y) -> SurfaceField:
-    across, along = np.meshgrid(x, y, indexing="ij")
+def field_of(function: object) -> SurfaceField:
+    across, along = np.meshgrid(X, Y, indexing="ij")
     values = np.stack(np.broadcast_arrays(*function(across, along)), axis=-1)  # type: ignore[operator]
-    return SurfaceField(x, y, values[None].astype(np.float32))
+    return SurfaceField(X, Y, values[None].astype(np.float32))
 
 
 def bump(x: Array, y: Array) -> tuple[Array, Array, Array]:

@@ -21,8 +21,8 @@ COARSE = 32
 GELSIGHT = sensor("gelsight")
 
 
-def live(grid: int = COARSE, indenter: str = "sphere") -> LivePress:
-    return LivePress(GELSIGHT, named(indenter), grid=grid, tolerance=2e-3)
+def live(grid: int = COARSE) -> LivePress:
+    return LivePress(GELSIGHT, named("sphere"), grid=grid, tolerance=2e-3)
 
 
 def pressed(depth: float = 1e-3, steps: int = 6) -> LivePress:

@@ -10,13 +10,7 @@ from rig.devices.force.calibration import AXES, FORCE_UNITS, TORQUE_UNITS, Trans
 def emit_calibration(
     calibration: TransducerCalibration, *, force_unit: str = "N", torque_unit: str = "N-mm"
 ) -> bytes:
-    """Return a `.cal` file of `calibration`, as `parse_calibration` reads it.
-
-    Args:
-        calibration: Calibration with a bipolar output.
-        force_unit: A key of `FORCE_UNITS`.
-        torque_unit: A key of `TORQUE_UNITS`.
-    """
+    """Return a `.cal` file of a bipolar `calibration`, as `parse_calibration` reads it."""
     scale = np.repeat([FORCE_UNITS[force_unit], TORQUE_UNITS[torque_unit]], 3)
     matrix = calibration.matrix / scale[:, np.newaxis]
     rated = np.array(calibration.rated) / scale

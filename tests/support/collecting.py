@@ -64,16 +64,7 @@ def tactile(*words: object) -> subprocess.CompletedProcess[str]:
 def pressed_session(
     path: Path, plan: Plan, total: int, done: int, status: str, **attrs: object
 ) -> None:
-    """Write a session with `done` of `total` targets pressed, as a collection leaves it.
-
-    Args:
-        path: The session.
-        plan: Its plan.
-        total: Number of the plan's targets that it is to have.
-        done: Number of those pressed.
-        status: Status that it ends with.
-        attrs: Its other attributes, as `sensor`.
-    """
+    """Write a session with `done` of `total` targets pressed, as a collection leaves it."""
     targets = {
         "point": np.ones(total, np.int16),
         "depth": np.zeros(total),

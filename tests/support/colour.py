@@ -119,23 +119,11 @@ GELSIGHT = Shading(
 
 
 def pictures(
-    sensor: SimulatedSensor,
-    reader: CameraReadout,
-    top: SurfaceField,
-    shading: Shading = GELSIGHT,
-    device: str = "cpu",
+    sensor: SimulatedSensor, reader: CameraReadout, top: SurfaceField
 ) -> NDArray[np.uint8]:
-    """Return pictures (F, 480, 640, 3) of the lit skin with the first pattern's markers.
-
-    Args:
-        sensor: Sensor with a camera and markers on a bare skin.
-        reader: Its readout.
-        top: Displacement of its top.
-        shading: The lamps.
-        device: Device of the renderer.
-    """
+    """Return pictures (F, 480, 640, 3) of the skin under `GELSIGHT`, with its first markers."""
     assert isinstance(sensor.signal, CameraSignal)
-    renderer = Renderer(sensor.body, reader.camera, device=device)
+    renderer = Renderer(sensor.body, reader.camera, device="cpu")
     seen = reader.visible(top)
     view = renderer.see(seen.x, seen.y, seen.displacement)
     material = view.material()
@@ -144,7 +132,7 @@ def pictures(
     normals = outward_normals(even)
     return np.stack(
         [
-            shading.image(normals[frame], even.x, even.y, material[frame], coverage[frame])
+            GELSIGHT.image(normals[frame], even.x, even.y, material[frame], coverage[frame])
             for frame in range(len(top))
         ]
     )

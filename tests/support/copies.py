@@ -1,5 +1,6 @@
 """Folders that many tests need alike: made once by a process, copied for each test."""
 
+import hashlib
 import shutil
 from collections.abc import Callable, Hashable
 from pathlib import Path
@@ -16,3 +17,9 @@ def copied(path: Path, key: Hashable, make: Callable[[Path], object]) -> None:
         make(made)
         _MADE[key] = made
     shutil.copytree(_MADE[key], path)
+
+
+def digests(path: Path) -> dict[str, str]:
+    """Return the SHA-256 of every file in a folder, to compare it with its copies."""
+    files = (entry for entry in path.rglob("*") if entry.is_file())
+    return {str(f.relative_to(path)): hashlib.sha256(f.read_bytes()).hexdigest() for f in files}

@@ -2,8 +2,7 @@
 
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -58,9 +57,13 @@ missing = foreign_still:absent
 """
 
 
-@contextmanager
-def foreign_package(site: Path) -> Iterator[None]:
-    """Install the package into a folder, as pip would into site-packages."""
+def installed() -> Any:
+    """Return a fixture: the package in a folder, as pip would put it into site-packages."""
+    return pytest.fixture(scope="module", autouse=True)(_package)
+
+
+def _package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    site = tmp_path_factory.mktemp("site")
     (site / "foreign_still.py").write_text(FOREIGN)
     metadata = site / "foreign_still-2.1.dist-info"
     metadata.mkdir()

@@ -22,13 +22,12 @@ _YX = np.mgrid[:480, :640]
 MASK = pack(((_YX[0] % 60 < 20) & (_YX[1] % 60 < 20))[None])
 
 
-def tips(plan: PressShear, target: Target, steps: int = 2) -> list[tuple[int, np.ndarray]]:
-    """Return phase and place (3,) [m] of `steps` frames of each phase, the last at its end."""
+def tips(plan: PressShear, target: Target) -> list[tuple[int, np.ndarray]]:
+    """Return phase and place (3,) [m] of two frames of each phase, the last at its end."""
     found = []
     for move in plan.moves(target):
         start, end = np.array(move.start), np.array(move.end)
-        for step in range(1, steps + 1):
-            found.append((move.phase, start + (end - start) * step / steps))
+        found += [(move.phase, (start + end) / 2), (move.phase, end)]
     return found
 
 
@@ -43,13 +42,8 @@ def planned_archive(
 ) -> MarkerArchive:
     """Write an archive whose sensors were pressed as planned, two frames a phase.
 
-    Args:
-        path: Archive to write, `X.markers.zarr`.
-        plans: Plan of each sensor.
-        indenters: Names, by code; each pressed all targets.
-        moved: Distance by which every place is off, along x and y [m].
-        seen: Whether models may be trained on the indenters.
-        wrench: Label of every frame (6,) [N, N m].
+    Each indenter pressed all targets; every place is off by `moved` along x and y [m], and every
+    frame has the label `wrench` (6,) [N, N m].
     """
     rows = {name: 8 * len(plan) * len(indenters) for name, plan in plans.items()}
     planned = tuple(

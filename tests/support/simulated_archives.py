@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -88,9 +87,3 @@ def _known(scenes: Sequence[Scene], tier: Tier, **options: Any) -> list[Any]:
 def _simulated(scene: Scene, tier: Tier, options: tuple[Any, ...]) -> Any:
     (outcome,) = simulate_many([scene], tier, **dict(options))
     return outcome
-
-
-def digests(path: Path) -> dict[str, str]:
-    """Return the SHA-256 of every file of an archive."""
-    files = (entry for entry in path.rglob("*") if entry.is_file())
-    return {str(f.relative_to(path)): hashlib.sha256(f.read_bytes()).hexdigest() for f in files}

@@ -108,6 +108,6 @@ def _halved(quads: Sequence[Sequence[int]] | Faces) -> Faces:
     return np.concatenate([squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]])
 
 
-def _circle(radius: float, count: int, shift: float = 0.0) -> Array:
-    angle = (np.arange(count) + shift) / count * math.tau
+def _circle(radius: float, count: int) -> Array:
+    angle = np.arange(count) / count * math.tau
     return radius * np.column_stack([np.cos(angle), np.sin(angle)])

@@ -262,15 +262,19 @@ def import_folder(
             f"plan: found with a folder of layout {layout}, which tells places itself; allowed: "
             "a training folder"
         )
-    names, read = {
-        "training": (_training_indenters, _training),
-        "states": (_state_indenters, _states),
-        "raw": (_raw_indenters, _raw),
-    }[layout]
-    indenters = coded(names(root))
+    read = {"training": _training, "states": _states, "raw": _raw}[layout]
+    indenters = coded(_indenters(layout, root))
     sensors = list(read(_Folder(root, indenters, chosen)))
     attrs = {"made_from": f"GenForce folder, layout {layout}"}
     return fill_archive(out, sensors, indenters, attrs, progress)
+
+
+def _indenters(layout: str, root: Path) -> set[str]:
+    """Return the names of the indenters in a folder of a layout."""
+    if layout == "raw":
+        return {_indenter(run) for sensor in _raw_folders(root) for run in _runs(sensor)}
+    sensors = _folders(_images(root)) if layout == "training" else [root]
+    return {one.name for sensor in sensors for one in _folders(sensor)}
 
 
 def _folders(folder: Path) -> list[Path]:
@@ -336,10 +340,6 @@ def _training(folder: _Folder) -> Iterator[PublishedSensor]:
     targets = _targets(one for sensor in sensors for one in _folders(sensor))
     for sensor in sensors:
         yield _training_sensor(folder, images, sensor, targets)
-
-
-def _training_indenters(root: Path) -> set[str]:
-    return {one.name for sensor in _folders(_images(root)) for one in _folders(sensor)}
 
 
 def _training_sensor(folder: _Folder, images: Path, sensor: Path, targets: int) -> PublishedSensor:
@@ -446,7 +446,7 @@ _STATE = re.compile(rf"({_NUMBER})_({_NUMBER})_({_NUMBER})")
 def _states(folder: _Folder) -> Iterator[PublishedSensor]:
     root = folder.root
     names = sorted(path.stem.removesuffix("_ref") for path in root.glob("*_ref.*"))
-    shapes = sorted(_state_indenters(root))
+    shapes = sorted(_indenters("states", root))
     files = {(shape, name): _state_files(root / shape / name) for shape in shapes for name in names}
     every = {state for states in files.values() for state in states}
     if not every:
@@ -479,10 +479,6 @@ def _states(folder: _Folder) -> Iterator[PublishedSensor]:
             raise LearningError(f"{root}: found {name}_ref, and no pictures of it")
         about = {"depth": "names of files, mm", "position": "names of files, mm"}
         yield folder.sensor(name, presses, reference[None], about)
-
-
-def _state_indenters(root: Path) -> set[str]:
-    return {path.name for path in _folders(root)}
 
 
 def _state_files(folder: Path) -> dict[tuple[float, float, float], Path]:
@@ -526,10 +522,6 @@ def _raw(folder: _Folder) -> Iterator[PublishedSensor]:
     targets = _targets(run for sensor in sensors for run in _runs(sensor))
     for sensor in sensors:
         yield _raw_sensor(folder, sensor, targets)
-
-
-def _raw_indenters(root: Path) -> set[str]:
-    return {_indenter(run) for sensor in _raw_folders(root) for run in _runs(sensor)}
 
 
 def _raw_folders(root: Path) -> list[Path]:

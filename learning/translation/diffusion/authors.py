@@ -15,7 +15,7 @@ import torch
 
 from learning.config import read_settings
 from learning.errors import LearningError
-from learning.training.checkpoint import load_weights, weights_hash
+from learning.training.checkpoint import load_weights, read_plain, weights_hash
 from learning.training.run import RunFolder
 from learning.translation.diffusion.network import (
     UNET_ADAPTER,
@@ -34,7 +34,6 @@ from learning.translation.diffusion.weights import (
     BASE,
     Weights,
     fingerprint,
-    read_plain,
     read_unet,
     read_vae,
     require_base_folder,

@@ -156,35 +156,12 @@ class DiffusionNetworkSettings(VaeSettings):
 UNET_ADAPTER = "unet_lora"
 # Name of the autoencoder's adapter, in both the translator and the reference encoder.
 VAE_ADAPTER = "ref_encoder_lora"
-# Name suffixes of the UNet's layers with an adapter (authors' code).
-UNET_TARGETS = (
-    "to_k",
-    "to_q",
-    "to_v",
-    "to_out.0",
-    "conv",
-    "conv1",
-    "conv2",
-    "conv_shortcut",
-    "conv_out",
-    "proj_in",
-    "proj_out",
-    "ff.net.2",
-    "ff.net.0.proj",
-)
-# The same for the autoencoder's layers (authors' code).
-VAE_TARGETS = (
-    "conv1",
-    "conv2",
-    "conv_in",
-    "conv_shortcut",
-    "conv",
-    "conv_out",
-    "to_k",
-    "to_q",
-    "to_v",
-    "to_out.0",
-)
+# Name suffixes of the layers with an adapter (authors' code), of the UNet and of the autoencoder.
+_CONVOLUTIONS = ("conv", "conv1", "conv2", "conv_shortcut", "conv_out")
+_ATTENTION = ("to_k", "to_q", "to_v", "to_out.0")
+_PROJECTIONS = ("proj_in", "proj_out", "ff.net.2", "ff.net.0.proj")
+UNET_TARGETS = (*_ATTENTION, *_CONVOLUTIONS, *_PROJECTIONS)
+VAE_TARGETS = (*_CONVOLUTIONS, "conv_in", *_ATTENTION)
 # Divided by the rank, the weight of an adapter: 1 at rank 8, 2 at rank 4 (peft's default).
 ALPHA = 8
 
@@ -330,12 +307,9 @@ class MarkerToMarker(nn.Module):
         self.pixel_range = pixel_range
         self.scaling = float(vae.config.scaling_factor)
         for name, parameter in self.named_parameters():
-            ours = whole or is_adapter(name)
-            parameter.requires_grad_(
-                name.startswith(("tokens.", "unet.conv_in."))
-                or (ours and name.startswith("unet."))
-                or (ours and name.startswith("vae.") and train_vae)
-            )
+            adapted = name.startswith(("unet.", "vae.") if train_vae else "unet.")
+            ours = adapted and (whole or is_adapter(name))
+            parameter.requires_grad_(ours or name.startswith(("tokens.", "unet.conv_in.")))
         if not whole:
             keep_in_state(self, _is_ours)
 
@@ -496,10 +470,6 @@ class MarkerVae(nn.Module):
         variance = encoded.deviation**2
         divergence = 0.5 * (encoded.mean**2 + variance - variance.log() - 1).sum(dim=(1, 2, 3))
         return true, reconstruction, divergence
-
-    def adapter(self) -> dict[str, torch.Tensor]:
-        """Return the adapter's tensors under the names of the translator's autoencoder."""
-        return {name: one for name, one in self.vae.state_dict().items() if is_adapter(name)}
 
     def latent(self, images: torch.Tensor) -> torch.Tensor:
         """Return the mean latents (n, channels, h/8, w/8) of images (n, 1, h, w) in [0, 1]."""

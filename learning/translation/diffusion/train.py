@@ -78,9 +78,6 @@ PRESETS = Path(__file__).parent / "presets"
 _AT_ONCE = 16  # images encoded or evaluated at once
 
 
-# Settings
-
-
 @dataclass(frozen=True, slots=True)
 class DiffusionLossWeights:
     """Weights in the translator's loss (the paper, eq. 5)."""
@@ -121,9 +118,6 @@ class TranslatorSettings(MarkerVaeSettings, DiffusionNetworkSettings):
         require(self, "steps", "batch", "accumulation", least=1)
         if self.two_pass and self.accumulation != 1:
             raise LearningError("accumulation: found more than 1; two_pass allows 1")
-
-
-# Pretrained networks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -317,9 +311,6 @@ class TrainingStep:
         trainable.optimiser.zero_grad()
 
 
-# Loop
-
-
 def train(
     pairs: PairedFrames,
     pretrained: Pretrained,
@@ -482,9 +473,6 @@ def _latents(
     own, other = pairs.reference[pairs.pairs].unbind(dim=1)
     target = references.rows(other).at(drawn[0])
     return target, references.rows(own).at(drawn[1]) if source_reference else None
-
-
-# Command
 
 
 def run(options: argparse.Namespace) -> int:

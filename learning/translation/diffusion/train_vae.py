@@ -46,9 +46,6 @@ if TYPE_CHECKING:
 _AT_ONCE = 16  # images evaluated at once
 
 
-# Settings
-
-
 @dataclass(frozen=True, slots=True)
 class Optimiser:
     """AdamW and its learning-rate schedule."""
@@ -141,9 +138,6 @@ class MarkerVaeSettings(VaeSettings):
         return MarkerVaeSettings(**{**values, "launch": launch})
 
 
-# Losses
-
-
 def _losses(
     outputs: tuple[torch.Tensor, torch.Tensor, torch.Tensor], stage: VaeStage
 ) -> dict[str, torch.Tensor]:
@@ -156,9 +150,6 @@ def _losses(
     }
     loss = sum((getattr(stage, name) * part for name, part in parts.items()), true.new_zeros(()))
     return {"loss": loss, **{name: part.detach() for name, part in parts.items()}}
-
-
-# Loop
 
 
 def train_vae(
@@ -259,9 +250,6 @@ def _noise(
     return torch.randn(
         (len(images), config.latent_channels, *sides), generator=chance, device=images.device
     )
-
-
-# Stage of `train diffusion`
 
 
 def marker_vae_of(

@@ -36,14 +36,11 @@ class DiffusionTranslator:
         precision: torch.dtype = torch.float32,
     ) -> None:
         """Wrap a network on its device for evaluation; the step to the clean latent is float32."""
-        self._network, self._name = network.eval().requires_grad_(False), name
+        self._network = network.eval().requires_grad_(False)
+        self.name = name
+        """Name in reports."""
         self._batch, self._precision = batch, precision
         self._latents: dict[bytes, torch.Tensor] = {}
-
-    @property
-    def name(self) -> str:
-        """Name in reports."""
-        return self._name
 
     def translate(
         self,

@@ -3,7 +3,6 @@
 import hashlib
 import importlib
 import json
-import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ import torch
 from torch import nn
 
 from learning.errors import LearningError
-from learning.training.checkpoint import ModelFolder, load_weights, read_weights
+from learning.training.checkpoint import ModelFolder, first_line, load_weights, read_tensors
 
 # Name of the metadata with the fingerprint of the published weights, and of the folder for them.
 BASE = "base"
@@ -150,7 +149,7 @@ def read_clip(folder: str) -> Any:
         config = transformers.CLIPVisionConfig.from_pretrained(path, local_files_only=True)
         clip = transformers.CLIPVisionModelWithProjection(config)
     except (OSError, ValueError, TypeError) as error:
-        raise LearningError(f"{path / 'config.json'}: not CLIP's: {_first_line(error)}") from error
+        raise LearningError(f"{path / 'config.json'}: not CLIP's: {first_line(error)}") from error
     # The file may also contain the text encoder.
     own = clip.state_dict().keys()
     tensors = read_tensors(_weights_file(path, _CLIP_WEIGHTS))
@@ -176,28 +175,6 @@ def read_perceptual(vgg: str, lpips: str) -> PerceptualDistance:
     distance = PerceptualDistance(widths if all(widths) else WIDTHS)
     load_weights(distance, {**trunk, **heads}, f"{vgg}, {lpips}")
     return distance
-
-
-def read_tensors(path: Path) -> dict[str, torch.Tensor]:
-    """Return the tensors of a file by name: safetensors, or a pickle of tensors only."""
-    content = read_plain(path)
-    if not isinstance(content, dict) or not all(
-        isinstance(value, torch.Tensor) for value in content.values()
-    ):
-        raise LearningError(f"{path}: found {type(content).__name__}; allowed: named tensors")
-    return content
-
-
-def read_plain(path: Path) -> Any:
-    """Return the content of a weights file; pickles may hold only tensors and plain values."""
-    if not path.is_file():
-        raise LearningError(f"{path}: no such file")
-    if path.suffix == ".safetensors":
-        return read_weights(path)
-    try:
-        return torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError, OSError) as error:
-        raise LearningError(f"{path}: is no file of weights: {_first_line(error)}") from error
 
 
 def require_base_folder(folder: str) -> None:
@@ -285,7 +262,3 @@ def _new_name(name: str) -> str:
         for old, new in (*_OLD_ATTENTION.items(), _OLD_OUTPUT):
             name = name.replace(old, new)
     return name
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).split("\n", 1)[0]

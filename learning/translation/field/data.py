@@ -26,6 +26,7 @@ from learning.translation.field.network import (
     SIDE,
     from_displacement,
     image_grid,
+    looked_up,
     resampled,
     signed_distance,
 )
@@ -211,8 +212,8 @@ def draw_examples(
     points, sign = _views(batch, settings.move, generator, frames.device)
     shift = _moved_shifts(frames, rows, points, sign)
     own = slice(0, batch - procedural)
-    images = _looked_up(frames.unit_images(rows[own]), points[own])
-    distance = _looked_up(frames.distance(rows[own]), points[own])
+    images = looked_up(frames.unit_images(rows[own]), points[own])
+    distance = looked_up(frames.distance(rows[own]), points[own])
     if not procedural:
         return Examples(images, distance, images, shift, images[:0], distance[:0])
     pushed = _pushed(shift[batch - procedural :], settings, generator)
@@ -270,7 +271,7 @@ def _moved_shifts(frames: FieldFrames, rows: Tensor, points: Tensor, sign: Tenso
         return torch.full(shape, torch.nan, device=frames.device)
     step = IMAGE_SIDE // SIDE
     cells = functional.avg_pool2d(points.permute(0, 3, 1, 2), step).permute(0, 2, 3, 1)
-    return _looked_up(frames.shift[rows].float(), cells) * sign[:, :, None, None]
+    return looked_up(frames.shift[rows].float(), cells) * sign[:, :, None, None]
 
 
 def _pushed(shift: Tensor, settings: ExampleSettings, generator: np.random.Generator) -> Tensor:
@@ -297,12 +298,6 @@ def _segmented(
         (patterns.radius + _on(edge, device)).clamp(min=1.0),
     )
     return replace(patterns, radius=radius)
-
-
-def _looked_up(images: Tensor, points: Tensor) -> Tensor:
-    return functional.grid_sample(
-        images, points, mode="bilinear", padding_mode="border", align_corners=False
-    )
 
 
 def _pixel_positions(device: torch.device) -> Tensor:

@@ -188,6 +188,13 @@ def image_grid(height: int, width: int, device: torch.device) -> Tensor:
     return torch.stack([across, down], dim=-1).unsqueeze(0)
 
 
+def looked_up(images: Tensor, points: Tensor) -> Tensor:
+    """Return images (n, c, h, w) at points (n, r, s, 2), -1 to 1; beyond their border, as there."""
+    return functional.grid_sample(
+        images, points, mode="bilinear", padding_mode="border", align_corners=False
+    )
+
+
 def render(distance: Tensor, deformation: Tensor) -> Tensor:
     """Return signed distances (n, 1, h, w) [px] of deformed references (n or 1, 1, h, w).
 
@@ -202,13 +209,7 @@ def render(distance: Tensor, deformation: Tensor) -> Tensor:
     )
     shift = fine[:, :2] * _per_px(distance).view(1, 2, 1, 1)
     points = image_grid(height, width, distance.device) - shift.permute(0, 2, 3, 1)
-    level: Tensor = functional.grid_sample(
-        distance.expand(len(deformation), -1, -1, -1),
-        points,
-        mode="bilinear",
-        padding_mode="border",
-        align_corners=False,
-    )
+    level = looked_up(distance.expand(len(deformation), -1, -1, -1), points)
     beyond = torch.linalg.vector_norm((points.abs() - 1).clamp(min=0) / _per_px(distance), dim=-1)
     deformed: Tensor = level - beyond.unsqueeze(1) + fine[:, 2:]
     return deformed
@@ -250,11 +251,8 @@ def transferred(deformation: Tensor, zoom: Tensor, placement: Tensor | None = No
         # Written out, as autocast would round a matrix product to bfloat16.
         turned = (placement[:, None, None, :, :2] * points.unsqueeze(3)).sum(dim=-1)
         points = points + turned + placement[:, None, None, :, 2]
-    looked_up: Tensor = functional.grid_sample(
-        deformation, points, mode="bilinear", padding_mode="border", align_corners=False
-    )
     scale = torch.cat([zoom, zoom.prod(dim=1, keepdim=True).sqrt()], dim=1)
-    return looked_up / scale.view(-1, 3, 1, 1)
+    return looked_up(deformation, points) / scale.view(-1, 3, 1, 1)
 
 
 def _per_px(images: Tensor) -> Tensor:

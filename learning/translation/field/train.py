@@ -14,7 +14,7 @@ so that unknown sensors are assumed to differ only in their patterns.
 """
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -284,7 +284,7 @@ def net_scores(model: FieldModel, frames: FieldFrames, most: int, seed: int) -> 
     """
     rows = _chosen(len(frames), most, seed, frames.device)
     scores: dict[str, list[Tensor]] = {"dice": [], "dice_still": [], "shift_error_px": []}
-    for part in _parts(rows):
+    for part in rows.split(AT_ONCE):
         images, distance = frames.unit_images(part), frames.distance(part)
         deformation = model.net(images, distance)[-1]
         scores["dice"].append(dice(render(distance, deformation), images))
@@ -307,7 +307,7 @@ def map_scores(
     """
     chosen = _chosen(len(frames.pairs), most, seed, frames.device)
     scores: dict[str, list[Tensor]] = {"dice": [], "dice_transferred": [], "dice_still": []}
-    for part in _parts(chosen):
+    for part in chosen.split(AT_ONCE):
         source, target = frames.pairs[part].unbind(dim=1)
         distance, images = frames.distance(target), frames.unit_images(target)
         scales = frames.scale(source), frames.scale(target)
@@ -323,11 +323,10 @@ def map_scores(
 @torch.no_grad()
 def source_deformations(model: FieldModel, frames: FieldFrames) -> SourceDeformations:
     """Return the field net's deformation of each pair's source."""
-    every = torch.unique(frames.pairs[:, 0], return_inverse=True)
-    sources, index = every[0], every[1]
+    sources, index = torch.unique(frames.pairs[:, 0], return_inverse=True)[:2]
     parts = [
         model.net(frames.unit_images(rows), frames.distance(rows))[-1].half()
-        for rows in _parts(sources)
+        for rows in sources.split(AT_ONCE)
     ]
     return SourceDeformations(torch.cat(parts), index)
 
@@ -337,16 +336,10 @@ def _chosen(count: int, most: int, seed: int, device: torch.device) -> Tensor:
     return torch.from_numpy(rows).to(device)
 
 
-def _parts(rows: Tensor) -> Iterator[Tensor]:
-    return (rows[first : first + AT_ONCE] for first in range(0, len(rows), AT_ONCE))
-
-
 def _means(scores: dict[str, list[Tensor]]) -> dict[str, float]:
     joined = {name: torch.cat(values) for name, values in scores.items() if values}
     return {name: float(values.mean()) for name, values in joined.items() if len(values)}
 
-
-# Loop
 
 _OF_UNKNOWN = 4  # one of this many pairs is also evaluated under random patterns
 _LOG_EVERY_STEPS = 20
@@ -410,7 +403,8 @@ def train_field(
                 held = None
 
         # Optimiser
-        rate = Cosine(stage.learning_rate, stage.steps, min(stage.warm_up_steps, stage.steps - 1))
+        warm_up = min(stage.warm_up_steps, stage.steps - 1)
+        rate = Cosine(stage.learning_rate, warm_up, steps=stage.steps)
         optimiser = torch.optim.AdamW(
             network.parameters(), lr=stage.learning_rate, weight_decay=settings.weight_decay
         )
@@ -465,9 +459,6 @@ def train_field(
     if done == steps:
         run.finish(done, {"model": model})
     return model.eval()
-
-
-# Command
 
 
 def run(options: argparse.Namespace) -> int:

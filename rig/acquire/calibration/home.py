@@ -69,10 +69,7 @@ def touching_bench(bench: Bench, force: float) -> Bench:
 
 
 def evaluate(session: Session, plan: Touch, *, width_max: float = WIDTH_MAX) -> TouchedSurface:
-    """Fit every approach of a session recorded along `plan`.
-
-    `width_max` is the widest accepted interval [m].
-    """
+    """Fit every approach of a session along `plan`; accept intervals up to `width_max` wide [m]."""
     approaches: dict[int, list[Onset]] = {}
     for index, target in enumerate(plan.targets()):
         onset = _approach(session, index)

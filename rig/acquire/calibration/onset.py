@@ -86,10 +86,7 @@ class TouchedSurface:
 def slopes_of(
     heights: Mapping[int, float], places: Mapping[int, Sequence[float]]
 ) -> tuple[float, float] | None:
-    """Return the tilt along x and y [rad]; None unless three points were touched.
-
-    The surface has a height at each point [m], which is at a place (2,) in the contact frame [m].
-    """
+    """Return the tilt along x and y [rad] by heights at places (2,) [m]; None below 3 points."""
     if len(heights) < 3:
         return None
     xy = np.array([places[point] for point in heights], np.float64)

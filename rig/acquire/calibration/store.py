@@ -238,10 +238,7 @@ def device_name(bench: Bench, stream: str) -> str:
 
 
 def load(folder: Path, bench: Bench, indenter: str) -> tuple[Calibration, list[str]]:
-    """Load the calibration of a bench's sensor with an indenter, and warnings about it.
-
-    The bench is that of its file, without a calibration.
-    """
+    """Load the calibration of a bench as in its file, with an indenter, and warnings about it."""
     path = folder / f"{bench.sensor}.yaml"
     acceptance = acceptance_of(folder, bench)
     if not path.exists():
@@ -321,10 +318,7 @@ def read_setup(folder: Path, bench: Bench) -> dict[str, Any]:
 
 
 def pressed_before(folder: Path, bench: Bench, indenter: str, depth: float) -> bool:
-    """Return True if a sensor was pressed in steps with this indenter and TCP, as deep as now.
-
-    `depth` is the deepest indentation that is planned [m].
-    """
+    """Return True if a sensor was pressed in steps with this indenter and TCP to this depth [m]."""
     path = folder / f"{bench.sensor}.yaml"
     content = read_yaml(path) if path.exists() else {}
     entry = (content.get("first_press") or {}).get(indenter)

@@ -79,14 +79,9 @@ class MoveResult:
 class Arm:
     """Moves one UR e-Series arm under the guard. Safe to use from several threads.
 
-    Args:
-        config: Address, tool and speeds.
-        contact_frame: Pose (6,) of the contact frame in the base frame [m, rad]; +z leaves the
-            sensor.
-        limits: Limits of motion enforced by the guard.
-        pose_path: POSE_LATEST record published by the pose stream; None: the child's own link.
-        guards: Shared record of each gauge, or of what stands in for one, and its guard.
-        clock: Clock for time limits.
+    The contact frame is a pose (6,) in the base frame [m, rad]; +z leaves the sensor. `pose_path`
+    is the POSE_LATEST record of the pose stream; None: the child's own link. `guards` has the
+    shared record of each gauge, or of what stands in for one, and its guard.
     """
 
     def __init__(
@@ -155,14 +150,10 @@ class Arm:
     ) -> MoveResult:
         """Move straight to TCP pose (6,) in the base frame [m, rad] and wait for it to end.
 
-        Args:
-            pose: Target.
-            speed: [m/s]; default: the configured speed, for travel or near contact by `mode`.
-            acceleration: [m/s^2]; default likewise.
-            mode: See `rig.core.guard.Guard`.
-            on_wait: Called about 20 times a second. An exception it raises (or Ctrl-C) leaves the
-                arm moving: call `halt`.
-            wake: When it becomes readable, `on_wait` is called at once and must drain it.
+        Speed [m/s] and acceleration [m/s^2] are by default those for travel or near contact, by the
+        mode of the guard. `on_wait` is called about 20 times a second, and at once when `wake` is
+        readable, which it must drain. An exception that it raises (or Ctrl-C) leaves the arm
+        moving: call `halt`.
         """
         config, target = self._config, _floats(pose)
         slow = mode == "guarded"
@@ -235,11 +226,8 @@ class Arm:
     ) -> Reply:
         """Send the command that `make` builds from a number, and return the reply to it.
 
-        Args:
-            make: Called once.
-            timeout: For the reply, or for the report of its start and time limit [s].
-            on_wait: Called about 20 times a second; an exception leaves the command running.
-            wake: When it becomes readable, `on_wait` is called at once and must drain it.
+        The time limit [s] is for the reply, or for the report of its start and time limit;
+        `on_wait` and `wake` are as in `move`.
         """
         number = next(self._numbers)
         command = make(number)

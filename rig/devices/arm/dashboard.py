@@ -11,6 +11,7 @@ from rig.core.errors import DeviceLost, SafetyStop
 PORT = 29999
 # Oldest PolyScope that says here if remote control is on.
 OLDEST = (5, 6)
+UPDATE = f"{OLDEST[0]}.{OLDEST[1]} or newer (Settings > System > Update)"
 BANNER = "Connected: Universal Robots Dashboard Server\n"
 
 
@@ -61,7 +62,4 @@ def age_note(version: str) -> str:
     number = re.search(r"(\d+)\.(\d+)", version)
     if number is None or (int(number[1]), int(number[2])) >= OLDEST:
         return ""
-    return (
-        f"PolyScope {version} does not say if remote control is on: update it to "
-        f"{OLDEST[0]}.{OLDEST[1]} or newer (Settings > System > Update)"
-    )
+    return f"PolyScope {version} does not say if remote control is on: update it to {UPDATE}"

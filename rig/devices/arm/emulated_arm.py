@@ -65,7 +65,7 @@ def flange_pose(joints: Array) -> Array:
     return np.concatenate([flange[:3, 3], vector_from_matrix(flange[:3, :3])])
 
 
-def solve_joints(flange: Array, seed: Array, *, iterations: int = 100) -> Array | None:
+def solve_joints(flange: Array, seed: Array) -> Array | None:
     """Return joint angles (6,) [rad] near `seed` that put the flange at pose (6,), or None.
 
     Damped least squares with a step limit: near `seed` it converges in two or three steps. None
@@ -73,7 +73,7 @@ def solve_joints(flange: Array, seed: Array, *, iterations: int = 100) -> Array 
     """
     goal_turn = matrix_from_vector(flange[3:])
     joints = np.array(seed, np.float64)
-    for _ in range(iterations):
+    for _ in range(100):
         frames = joint_frames(joints)
         end = frames[-1]
         error = np.concatenate(
@@ -119,10 +119,7 @@ class Wrist:
 
     The errors are those that Universal Robots states for the e-Series (accuracy 4 N, precision
     3.5 N), and a gain that is up to 30 % wrong, as with a wrong payload or a moment on the flange.
-
-    Args:
-        seed: Determines the errors.
-        payload_error: True payload minus the one that is set in the controller [kg].
+    The true payload is that of the controller plus `payload_error` [kg].
     """
 
     GAIN, BIAS, DRIFT, NOISE = 0.3, 4.0, 0.02, 0.15
@@ -144,12 +141,9 @@ class Wrist:
 
 
 class PoseError:
-    """Errors of a reported pose: noise of its position, and a vector that flips its sign.
+    """Errors of a reported pose: noise of its position [m], and a vector that flips its sign.
 
-    Args:
-        jitter: Standard deviation of the position along each axis [m].
-        flipped: Report every other tenth of a second the opposite vector of the same rotation.
-        seed: Seed of the noise.
+    If flipped, every other tenth of a second has the opposite vector of the same rotation.
     """
 
     def __init__(self, jitter: float, flipped: bool, seed: int) -> None:

@@ -181,12 +181,7 @@ _BRAKING = 10.0
 
 
 class Controller:
-    """UR5e controller of version 5.12 with the arm at rest at `pose`.
-
-    Args:
-        pose: TCP pose (6,) in the base frame at start [m, rad].
-        tcp: TCP (6,) in the flange frame set in the installation [m, rad].
-    """
+    """UR5e controller of version 5.12, at rest at `pose` with the `tcp` in the flange [m, rad]."""
 
     def __init__(self, pose: Array, tcp: Array) -> None:
         self.robot = Robot(pose, tcp)
@@ -198,9 +193,9 @@ class Controller:
         self.wrench = np.zeros(6)
         """On the sensor, from the World [N, N m]; reported as actual_TCP_force unrotated."""
         self.wrist: Wrist | None = None
+        """Errors of that report; None: none."""
         self.pose_error: PoseError | None = None
         """Errors of the reported pose; None: it is exact."""
-        """Errors of that report; None: none."""
         self.tick = 0
         self.runtime_state = STOPPED
         self.safety_status = _NORMAL

@@ -25,6 +25,7 @@ Faults are injected through rig.core.fault_injection, with these in addition:
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import re
 import selectors
@@ -250,14 +251,8 @@ class ArmEmulator(Emulator):
     """Serves a `Controller` at 500 Hz against absolute deadlines, on a background thread.
 
     `missed` counts cycles of host time for which the emulated controller's clock stood still.
-
-    Args:
-        host: Loopback address to listen on.
-        controller: The controller to serve.
-        clock: Paces the cycles.
-        state: ARM_TRUTH record for each cycle's pose.
-        world: Source of the contact force.
-        playback: Recorded poses, or wrenches of an arm, to report; None: the controller's own.
+    `state` is the ARM_TRUTH record of each cycle's pose, `world` has the contact force. A playback
+    has recorded poses, or wrenches of an arm, which are reported in place of the controller's own.
     """
 
     def __init__(
@@ -481,10 +476,9 @@ class ArmEmulator(Emulator):
 
 def _shut(peers: Iterable[socket.socket]) -> None:
     for peer in peers:
-        try:
+        # A client may be gone already.
+        with contextlib.suppress(OSError):
             peer.shutdown(socket.SHUT_RDWR)
-        except OSError as error:
-            logger.debug("client already gone: %s", error)
 
 
 Vector = tuple[float, float, float, float, float, float]

@@ -6,7 +6,6 @@ arm halts and retracts, and this process ends. After a protective or emergency s
 sent.
 """
 
-import functools
 import logging
 import multiprocessing
 import operator
@@ -14,6 +13,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable
+from functools import partial, reduce
 from multiprocessing.connection import Connection
 from typing import Any, NoReturn
 
@@ -92,7 +92,7 @@ class Watch:
         for sample in arrived:
             self._take(sample)
         own = arrived or ([] if self._sample is None else [self._sample])
-        status = functools.reduce(operator.or_, (sample["safety_status"] for sample in own), 0)
+        status = reduce(operator.or_, (sample["safety_status"] for sample in own), 0)
         safety = judge_safety(status)
         if safety is not None:
             return safety
@@ -319,17 +319,15 @@ class Mover:
         return Move(number, goal, config.travel_speed, config.travel_acceleration, "retreat")
 
     def move(self, command: Move, on_start: Callable[[float], None]) -> Reply:
-        """Execute a move and return its result.
-
-        `on_start` is called at the start with the longest time the move can take [s].
-        """
+        """Execute a move and return its result; `on_start` gets the longest time it takes [s]."""
         start_ns = self._clock.now_ns()
         goal = np.array(command.pose)
         if command.mode != "retreat":
             self._watch.armed = True
             reason = outside_box(self._setup.limits, self._setup.contact_frame, goal[:3])
             if reason is not None:
-                return self._reply(command, "safety_stop", start_ns, f"target: {reason}", "box")
+                why = f"target: {reason}"
+                return self.reply(command.number, "safety_stop", start_ns, why, "box")
         violation = self.step(command.mode)
         if violation is not None:
             return self._violation_reply(command, start_ns, violation)
@@ -348,7 +346,7 @@ class Mover:
         violation = self._watch.look_again(0.05) or self.step(command.mode) or self._kick()
         if violation is not None:
             return self._violation_reply(command, start_ns, violation)
-        return self._reply(command, "stopped", start_ns, f"the controller {what}")
+        return self.reply(command.number, "stopped", start_ns, f"the controller {what}")
 
     def _follow(
         self,
@@ -370,18 +368,18 @@ class Mover:
                 return self._violation_reply(command, start_ns, violation)
             if self._interrupted():
                 self.halt()
-                return self._reply(command, "stopped", start_ns, "halted by the operator")
+                return self.reply(command.number, "stopped", start_ns, "halted by the operator")
             now_ns = self._clock.now_ns()
             operation, running = self._control.operation()
             # Only a number other than before the call belongs to it: see UrControl.operation.
             if operation != before and not running:
                 finished_ns = finished_ns or now_ns
                 if self._watch.still() and self._watch.near(goal, _AT_TARGET, _AT_ANGLE):
-                    return self._reply(command, "done", start_ns)
+                    return self.reply(command.number, "done", start_ns)
                 if now_ns - finished_ns > round(_ARRIVING * SECOND_NS):
                     away = self._watch.distance(goal) * 1e3
                     why = f"came to rest {away:.2f} mm off its target"
-                    return self._reply(command, "stopped", start_ns, why)
+                    return self.reply(command.number, "stopped", start_ns, why)
             elif fraction != self._watch.speed_fraction:
                 fraction = self._watch.speed_fraction
                 limit = self._time_limit(command, goal, on_start)
@@ -391,7 +389,7 @@ class Mover:
                 paused = "is the program paused at the pendant?"
                 cause = _slow(fraction) if fraction < 1 else paused
                 why = f"took longer than {limit:.1f} s: {cause}"
-                return self._reply(command, "stopped", start_ns, why)
+                return self.reply(command.number, "stopped", start_ns, why)
 
     def _violation_reply(self, command: Move, start_ns: int, violation: Violation) -> Reply:
         if violation.kind in _SAFETY:
@@ -401,17 +399,18 @@ class Mover:
             outcome = "force_limited"
         elif violation.kind in _LOST:
             outcome = "device_lost"
-        return self._reply(command, outcome, start_ns, violation.reason, violation.kind)
+        return self.reply(command.number, outcome, start_ns, violation.reason, violation.kind)
 
-    def _reply(
+    def reply(
         self,
-        command: Move,
+        number: int,
         outcome: Outcome,
         start_ns: int,
         reason: str = "",
         kind: Kind | None = None,
     ) -> Reply:
-        return Reply(command.number, outcome, start_ns, self._clock.now_ns(), reason, kind)
+        """Return the reply to the command of this number, which ends now."""
+        return Reply(number, outcome, start_ns, self._clock.now_ns(), reason, kind)
 
     def _time_limit(self, command: Move, goal: Array, on_start: Callable[[float], None]) -> float:
         """Return and announce 1.5 times the duration at the present slider, plus 2 s [s]."""
@@ -506,12 +505,7 @@ class Motion:
     """
 
     def __init__(
-        self,
-        setup: Setup,
-        pipe: Connection,
-        control: UrControl,
-        link: RtdeLink,
-        clock: Clock,
+        self, setup: Setup, pipe: Connection, control: UrControl, link: RtdeLink, clock: Clock
     ) -> None:
         self._pipe: Connection | None = pipe
         self._control = control
@@ -529,7 +523,7 @@ class Motion:
         number = START
         try:
             self._mover.wait_for_pose(_CONNECT)
-            self._reply(START, "done", self._clock.now_ns())
+            self._send(self._mover.reply(START, "done", self._clock.now_ns()))
             while True:
                 command = self._next_command()
                 number = command.number
@@ -540,7 +534,7 @@ class Motion:
             self._leave()
             return 0
         except DeviceLost as error:
-            self._reply(number, "device_lost", self._clock.now_ns(), str(error))
+            self._send(self._mover.reply(number, "device_lost", self._clock.now_ns(), str(error)))
             return 1
 
     def _leave(self) -> None:
@@ -560,18 +554,18 @@ class Motion:
         what = None if isinstance(command, Move) else command.what
         if what is not None:
             self._mover.halt()
-        latched = self._mover.latched
+        latched, reply = self._mover.latched, partial(self._mover.reply, command.number)
         if what == "close":
             self._control.close()
-            self._reply(command.number, "done", start_ns)
+            self._send(reply("done", start_ns))
         elif latched is not None:
-            self._reply(command.number, "safety_stop", start_ns, latched.reason, latched.kind)
+            self._send(reply("safety_stop", start_ns, latched.reason, latched.kind))
         elif isinstance(command, Move):
             self._move(command)
         elif what == "retract":
             self._move(self._mover.retract_command(command.number))
         else:
-            self._reply(command.number, "done", start_ns)
+            self._send(reply("done", start_ns))
 
     def _move(self, move: Move) -> None:
         self._send(self._mover.move(move, lambda limit: self._send(Started(move.number, limit))))
@@ -600,16 +594,6 @@ class Motion:
             return self._pipe is not None and self._pipe.poll(0)
         except OSError as error:
             raise _ParentGoneError from error
-
-    def _reply(
-        self,
-        number: int,
-        outcome: Outcome,
-        start_ns: int,
-        reason: str = "",
-        kind: Kind | None = None,
-    ) -> None:
-        self._send(Reply(number, outcome, start_ns, self._clock.now_ns(), reason, kind))
 
     def _say(self, text: str) -> None:
         self._send(Note(text))

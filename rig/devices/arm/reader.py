@@ -19,27 +19,17 @@ from rig.core.errors import DeviceLost
 from rig.devices.arm import rtde
 from rig.devices.arm.settings import ArmConfig, ListenedConfig
 
-VARIABLES = (
-    "timestamp",
-    "actual_TCP_pose",
-    "actual_TCP_speed",
-    "speed_scaling",
-    "target_speed_fraction",
-    "runtime_state",
-    "safety_status_bits",
-    "robot_mode",
-)
-# Names of a sample's columns, in the order of VARIABLES; `t_ns` is added.
-COLUMNS = (
-    "device_t",
-    "value",
-    "speed",
-    "speed_scaling",
-    "speed_fraction",
-    "runtime_state",
-    "safety_status",
-    "robot_mode",
-)
+# Columns of a sample by the variables that they hold; `t_ns` is added.
+COLUMNS = {
+    "timestamp": "device_t",
+    "actual_TCP_pose": "value",
+    "actual_TCP_speed": "speed",
+    "speed_scaling": "speed_scaling",
+    "target_speed_fraction": "speed_fraction",
+    "runtime_state": "runtime_state",
+    "safety_status_bits": "safety_status",
+    "robot_mode": "robot_mode",
+}
 
 # Without a package for this long the controller counts as lost [s].
 SILENCE = 1.0
@@ -70,8 +60,7 @@ class RtdeLink:
         self, host: str, rate_hz: float, clock: Clock, more: Mapping[str, str] | None = None
     ) -> None:
         self._host = host
-        self._variables = (*VARIABLES, *(more or {}))
-        self._columns = (*COLUMNS, *(more or {}).values())
+        self._columns = {**COLUMNS, **(more or {})}
         self._clock = clock
         self._period = 1 / rate_hz
         self._rate_hz = rate_hz
@@ -106,13 +95,13 @@ class RtdeLink:
             self.version = tuple(
                 int.from_bytes(version[k : k + 4], "big") for k in range(0, len(version), 4)
             )
-            request = rtde.pack_output_request(self._rate_hz, self._variables)
+            request = rtde.pack_output_request(self._rate_hz, list(self._columns))
             reply = self._ask(rtde.Kind.OUTPUTS, request, deadline_ns)
             self._recipe, types = rtde.unpack_recipe(reply)
             self._types = tuple(types)
             rtde.layout(self._types)
-            if len(self._types) != len(self._variables):
-                raise ValueError(f"{len(types)} types for {len(self._variables)} variables")
+            if len(types) != len(self._columns):
+                raise ValueError(f"{len(types)} types for {len(self._columns)} variables")
             if self._ask(rtde.Kind.START, b"", deadline_ns) != b"\x01":
                 raise ValueError("the controller refused to start the stream")
         except OSError as error:
@@ -184,7 +173,8 @@ class RtdeLink:
         """Return the sample of a package; None if it is a duplicate or late."""
         if not payload or payload[0] != self._recipe:
             raise ValueError(f"RTDE package of a recipe that is not ours ({payload[:1].hex()})")
-        sample = dict(zip(self._columns, rtde.unpack_values(self._types, payload[1:]), strict=True))
+        values = rtde.unpack_values(self._types, payload[1:])
+        sample = dict(zip(self._columns.values(), values, strict=True))
         device_t = float(sample["device_t"])  # type: ignore[arg-type]
         _require_plausible(sample["value"])  # type: ignore[arg-type]
         if self._device_t is not None:
@@ -219,10 +209,7 @@ def _require_plausible(pose: tuple[float, ...]) -> None:
 
 
 class RtdePoseDriver(ReceivingDriver):
-    """Pose stream of a recording: an `RtdeLink` read by a dedicated thread.
-
-    Its columns are those of `RtdeLink`.
-    """
+    """Pose stream of a recording: an `RtdeLink`, with its columns, read by a dedicated thread."""
 
     MORE: ClassVar[Mapping[str, str]] = {}
     """Further variables to stream, and the names of their columns."""

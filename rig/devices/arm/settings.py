@@ -49,17 +49,8 @@ class ArmConfig:
     """Time for which the TCP must be at rest before a move counts as done [s]."""
 
     def __post_init__(self) -> None:
-        positive = (
-            "rate_hz",
-            "speed",
-            "acceleration",
-            "travel_speed",
-            "travel_acceleration",
-            "stop_deceleration",
-            "retract",
-            "watchdog_hz",
-        )
-        for name in positive:
+        motions = ("speed", "acceleration", "travel_speed", "travel_acceleration")
+        for name in ("rate_hz", *motions, "stop_deceleration", "retract", "watchdog_hz"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name}: {getattr(self, name)!r}; allowed: above 0")
         if len(self.tcp) != 6:

@@ -14,9 +14,9 @@ it records. Of a recorded session both get the first picture; then the recorded 
 unchanged, none of them skipped.
 """
 
+import contextlib
 import functools
 import itertools
-import logging
 import queue
 import socket
 import threading
@@ -32,14 +32,7 @@ import numpy.typing as npt
 
 from recorder.natural_order import natural_key
 from rig.core.clock import SECOND_NS, Clock, Pacer
-from rig.core.emulation import (
-    DeviceHandler,
-    DeviceServer,
-    Emulator,
-    Newest,
-    Served,
-    SharedWorld,
-)
+from rig.core.emulation import DeviceHandler, DeviceServer, Emulator, Newest, Served, SharedWorld
 from rig.core.errors import ConfigError
 from rig.core.fault_injection import FaultInjector
 from rig.core.playback import PlayableConfig, Playback
@@ -77,12 +70,7 @@ def rendered(view: Callable[[np.void], Image]) -> FrameSource:
 
 
 def looped(path: Path, *, hold: int = 1) -> FrameSource:
-    """Return the source that loops over the pictures of a folder or a video, whatever the state.
-
-    Args:
-        path: A folder of images, shown in natural order, or a video file.
-        hold: Number of ticks for which each picture is shown.
-    """
+    """Return the source that loops over a folder of images or a video, each for `hold` ticks."""
     frames = (jpeg for jpeg in _looped(path) for _ in range(max(hold, 1)))
     first = next(frames, None)
     if first is None:
@@ -190,8 +178,6 @@ def _serves_as_it_is(content: bytes) -> bool:
     return is_whole(content) and jpeg_size(content) == SIZE
 
 
-logger = logging.getLogger(__name__)
-
 # How long each image of a still source is shown [s].
 _STILL = 2.0
 # About two frames, so that a slow client does not find old ones waiting.
@@ -221,11 +207,7 @@ class MjpegEmulatorConfig(PlayableConfig):
 class MjpegEmulator(Emulator):
     """Emulated camera: one thread produces frames, one per client sends the newest frame.
 
-    Args:
-        config: Address and rate.
-        source: Source of the picture of each tick, or a recording.
-        world: Source of the state to show; None: frames have the time of their tick.
-        clock: Paces the frames.
+    The source shows the state of a world; without one, frames have the time of their tick.
     """
 
     def __init__(
@@ -258,7 +240,6 @@ class MjpegEmulator(Emulator):
         self._lens = (1.0, 0.0)
         self._late: queue.SimpleQueue[tuple[int, tuple[bytes, ...]] | None] = queue.SimpleQueue()
         self._server: _Server | None = None
-        self._threads: list[threading.Thread] = []
 
     @property
     def address(self) -> str:
@@ -353,10 +334,9 @@ class _Server(DeviceServer):
     daemon_threads = False
 
     def __init__(self, address: tuple[str, int], emulator: MjpegEmulator) -> None:
-        self.emulator = emulator
         self._clients: set[socket.socket] = set()
         self._lock = threading.Lock()
-        super().__init__(address, _StreamHandler, emulator.faults)
+        super().__init__(address, _StreamHandler, emulator)
 
     def get_request(self) -> tuple[socket.socket, Any]:
         """Accept a client, with a send buffer that holds few frames."""
@@ -377,15 +357,12 @@ class _Server(DeviceServer):
         """Wake every thread that is sending."""
         with self._lock:
             for client in self._clients:
-                try:
+                # It may be gone already.
+                with contextlib.suppress(OSError):
                     client.shutdown(socket.SHUT_RDWR)
-                except OSError as error:
-                    logger.debug("client already gone: %s", error)
 
 
 class _StreamHandler(DeviceHandler):
-    server: _Server
-
     def get(self, url: SplitResult) -> None:
         emulator = self.server.emulator
         self.send_response(200)

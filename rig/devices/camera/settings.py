@@ -23,11 +23,7 @@ class CameraSettings(StreamSettings):
     """[px]"""
 
     def attrs(self, description: Mapping[str, Any]) -> dict[str, Any]:
-        """Return attributes of the stream of the open camera, such as `exposure` [s] and `stamp`.
-
-        Args:
-            description: `Driver.describe()`.
-        """
+        """Return the stream's attributes, such as `exposure` [s], given `Driver.describe()`."""
         return {}
 
 

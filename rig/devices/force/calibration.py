@@ -57,10 +57,7 @@ class TransducerCalibration:
         return np.asarray(wrench, np.float64) @ np.linalg.inv(self.matrix).T
 
     def saturated(self, volts: npt.ArrayLike, fraction: float = 0.999) -> npt.NDArray[np.bool_]:
-        """Return True where any gauge of volts (..., 6) is saturated, so the wrench is wrong.
-
-        It is from a fraction of the output range.
-        """
+        """Return True where a gauge of volts (..., 6) is beyond this fraction of its range."""
         low, high = self.volts_range
         middle, half = (high + low) / 2, (high - low) / 2
         ends = np.abs(np.asarray(volts, np.float64) - middle) >= fraction * half

@@ -17,7 +17,7 @@ import select
 import socket
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import SplitResult, parse_qs
 
 import numpy as np
@@ -81,7 +81,7 @@ class NetFtEmulator(Emulator):
         self._source = source
         self._clock = clock
         self._udp: socket.socket | None = None
-        self._http: _HttpServer | None = None
+        self._http: DeviceServer | None = None
         self._peer: tuple[str, int] | None = None
         self._left = 0
         self._rdt_sequence = 0
@@ -100,7 +100,8 @@ class NetFtEmulator(Emulator):
         try:
             self._udp.bind((self._config.host, self._config.device.udp_port))
             self._udp.setblocking(False)
-            self._http = _HttpServer((self._config.host, self._config.device.http_port), self)
+            address = (self._config.host, self._config.device.http_port)
+            self._http = DeviceServer(address, _PageHandler, self)
         except OSError:
             self._udp.close()
             raise
@@ -219,16 +220,9 @@ class NetFtEmulator(Emulator):
                 self._bias = counts
 
 
-class _HttpServer(DeviceServer):
-    """The box's web server, for netftapi2.xml and comm.cgi."""
-
-    def __init__(self, address: tuple[str, int], emulator: NetFtEmulator) -> None:
-        self.emulator = emulator
-        super().__init__(address, _PageHandler, emulator.faults)
-
-
 class _PageHandler(DeviceHandler):
-    server: _HttpServer
+    """Handler of requests for netftapi2.xml and comm.cgi."""
+
     timeout = 5.0
 
     def get(self, url: SplitResult) -> None:
@@ -249,16 +243,11 @@ class _PageHandler(DeviceHandler):
 def force_page(stream: Stream) -> Page:
     """Return the settings of the F/T box that recorded a force stream; defaults if not stored."""
     device = stream.attrs.get("device") or {}
-    default = Page()
-    page = Page(
-        product=str(device.get("product") or default.product),
-        serial=str(device.get("serial") or default.serial),
-        counts_per_force=float(device.get("counts_per_force") or default.counts_per_force),
-        counts_per_torque=float(device.get("counts_per_torque") or default.counts_per_torque),
-        force_unit=str(device.get("force_unit") or default.force_unit),
-        torque_unit=str(device.get("torque_unit") or default.torque_unit),
-        rate_hz=max(round(stated_rate(stream)), 1),
-    )
+    names = ("product", "serial", "force_unit", "torque_unit")
+    stated: dict[str, Any] = {name: str(device[name]) for name in names if device.get(name)}
+    counts = ("counts_per_force", "counts_per_torque")
+    stated |= {name: float(device[name]) for name in counts if device.get(name)}
+    page = Page(**stated, rate_hz=max(round(stated_rate(stream)), 1))
     try:
         page.scale()
     except ConfigError as error:

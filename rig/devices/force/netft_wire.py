@@ -14,9 +14,13 @@ Counts are converted by `cfgcpf` and `cfgcpt` (counts per unit) and `scfgfu` and
 
 import struct
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 from rig.core.errors import ConfigError
+from rig.devices.force import calibration
 
 HEADER = 0x1234
 COMMAND_STOP = 0
@@ -27,16 +31,8 @@ REQUEST = struct.Struct(">HHI")
 RECORD = struct.Struct(">III6i")
 
 # Newton per unit, by the names the box uses.
-FORCE_UNITS = {
-    "N": 1.0,
-    "kN": 1e3,
-    "lbf": 4.4482216152605,
-    "klbf": 4448.2216152605,
-    "kgf": 9.80665,
-    "kg": 9.80665,
-    "gf": 9.80665e-3,
-    "g": 9.80665e-3,
-}
+_FORCE_NAMES = ("N", "kN", "lbf", "klbf", "kgf", "kg", "gf", "g")
+FORCE_UNITS = {name: calibration.FORCE_UNITS[name] for name in _FORCE_NAMES}
 
 # Newton metre per unit, by the names the box uses.
 TORQUE_UNITS = {
@@ -142,15 +138,16 @@ def parse_request(packet: bytes) -> tuple[int, int] | None:
     return (command, samples) if header == HEADER else None
 
 
-_TAGS = {
-    "prodname": "product",
-    "calsn": "serial",
-    "runstat": "runstat",
-    "cfgcpf": "counts_per_force",
-    "cfgcpt": "counts_per_torque",
-    "scfgfu": "force_unit",
-    "scfgtu": "torque_unit",
-    "comrdtrate": "rate_hz",
+# Field of a `Page` by its tag, and what reads it.
+_TAGS: dict[str, tuple[str, Callable[[str], Any]]] = {
+    "prodname": ("product", str),
+    "calsn": ("serial", str),
+    "runstat": ("runstat", partial(int, base=16)),
+    "cfgcpf": ("counts_per_force", float),
+    "cfgcpt": ("counts_per_torque", float),
+    "scfgfu": ("force_unit", str),
+    "scfgtu": ("torque_unit", str),
+    "comrdtrate": ("rate_hz", int),
 }
 _OPTIONAL = ("prodname", "calsn")
 
@@ -158,7 +155,7 @@ _OPTIONAL = ("prodname", "calsn")
 def emit_page(page: Page) -> bytes:
     """Return the XML page with the fields of `page`."""
     root = ET.Element("netFTApi")
-    for tag, name in _TAGS.items():
+    for tag, (name, _) in _TAGS.items():
         value = getattr(page, name)
         text = f"{value:.17g}" if isinstance(value, float) else str(value)
         ET.SubElement(root, tag).text = f"0x{value:08x}" if name == "runstat" else text
@@ -176,16 +173,7 @@ def parse_page(content: bytes) -> Page:
     missing = [tag for tag, text in texts.items() if not text and tag not in _OPTIONAL]
     if missing:
         raise ValueError(f"missing {missing}")
-    return Page(
-        product=texts["prodname"],
-        serial=texts["calsn"],
-        runstat=int(texts["runstat"], 16),
-        counts_per_force=float(texts["cfgcpf"]),
-        counts_per_torque=float(texts["cfgcpt"]),
-        force_unit=texts["scfgfu"],
-        torque_unit=texts["scfgtu"],
-        rate_hz=int(texts["comrdtrate"]),
-    )
+    return Page(**{name: read(texts[tag]) for tag, (name, read) in _TAGS.items()})
 
 
 def status_text(status: int) -> str:

@@ -364,12 +364,5 @@ class _Deadline(grpc.UnaryUnaryClientInterceptor):  # type: ignore[misc]
 
     def intercept_unary_unary(self, continuation: Any, details: Any, request: Any) -> Any:
         """Make the call with its deadline; see gRPC."""
-        timed = _CallDetails(
-            details.method,
-            self.seconds,
-            details.metadata,
-            details.credentials,
-            details.wait_for_ready,
-            details.compression,
-        )
-        return continuation(timed, request)
+        given = {name: getattr(details, name) for name in _CallDetails._fields}
+        return continuation(_CallDetails(**{**given, "timeout": self.seconds}), request)

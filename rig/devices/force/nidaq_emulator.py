@@ -144,10 +144,7 @@ class _Task:
 
 
 class Service(stubs.NiDAQmxServicer):  # type: ignore[misc]
-    """Implementation of the calls; each takes its request and the call's context.
-
-    Those of `_READ_BACK` are added below.
-    """
+    """The calls, each with its request and context; those of `_READ_BACK` are added below."""
 
     def __init__(self, card: NidaqEmulator) -> None:
         self._card = card

@@ -177,10 +177,7 @@ class PedalState:
 
 
 class PedalWatch:
-    """Reads one pedal on a background thread.
-
-    It calls `on_change` from there, with the state before and after each change.
-    """
+    """Reads a pedal on a thread, which calls `on_change` with the states before and after."""
 
     def __init__(
         self, config: PedalConfig, clock: Clock, on_change: Callable[[PedalState, PedalState], None]

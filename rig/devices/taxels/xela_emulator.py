@@ -68,13 +68,8 @@ def emit(
 ) -> str:
     """Return the message of scan `number`; inverse of `rig.devices.taxels.xela_wire.parse`.
 
-    Args:
-        number: The server's scan counter.
-        seconds: Time of the scan since 1970 [s].
-        counts: All axes of each taxel, 0 to 65535.
-        layout: 1.7 or 1.8.
-        ups: Updates per second stated in layout 1.8 [Hz].
-        axes: Counts of each taxel.
+    Its time is in seconds since 1970, the counts are all axes of each taxel, 0 to 65535. Layout is
+    1.7 or 1.8, which states the updates per second `ups` [Hz].
     """
     sensor: dict[str, Any] = {
         "data": ",".join([f"{value:X}" for value in counts]),
@@ -121,7 +116,6 @@ class XelaEmulator(Emulator):
         )
         self._clients: set[ServerConnection] = set()
         self._server: Server | None = None
-        self._threads: list[threading.Thread] = []
 
     @property
     def address(self) -> str:
@@ -180,9 +174,7 @@ class XelaEmulator(Emulator):
 
     def _play(self, playback: Playback, message: Callable[..., str]) -> None:
         playback.run(
-            lambda place: self._scans.publish([message(place)]),
-            window=_WINDOW,
-            ending=self._ending,
+            lambda place: self._scans.publish([message(place)]), window=_WINDOW, ending=self._ending
         )
 
     def _counts(self, source: SharedWorld | Log) -> list[int]:

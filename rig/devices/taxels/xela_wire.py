@@ -44,10 +44,7 @@ class Scan(NamedTuple):
 
 
 def parse(text: str | bytes, sensor: str, taxels: int, axes: int = 3) -> Scan | None:
-    """Return the scan of a `sensor` in a message; None: it is the welcome.
-
-    `taxels` and `axes` are the numbers of the sensor's taxels and of the values of each.
-    """
+    """Return the scan of a `sensor` of taxels with `axes` each; None: it is the welcome."""
     if text[:1] in ("4", "0", b"4", b"0"):
         raise ValueError(f"{text[:24]!r}: {_SOCKET_IO}")
     message = json.loads(text)

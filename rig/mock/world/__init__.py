@@ -61,13 +61,10 @@ def build_world(settings: WorldConfig) -> World:
 
 
 def load_view(path: Path, kind: str = "camera") -> Callable[[np.void], np.ndarray]:
-    """Return a function of a WORLD_STATE: the reading of a World's camera or taxels.
+    """Return a function of a WORLD_STATE: the reading of a World's camera, or taxels, by `kind`.
 
-    It returns RGB (480, 640, 3) uint8, or raw counts (taxels, 3) before noise.
-
-    Args:
-        path: JSON document of the World.
-        kind: camera or taxels.
+    It returns RGB (480, 640, 3) uint8, or raw counts (taxels, 3) before noise. The World is that of
+    a JSON document.
 
     Raises:
         ConfigError: The document is invalid, or the World has no such sensor.

@@ -22,12 +22,9 @@ class World(Protocol):
 
 
 class ContactFrame:
-    """Converts poses in the base frame to tips in the contact frame.
+    """Converts poses in the base frame to tips in the contact frame, whose pose is (6,) [m, rad].
 
-    Args:
-        pose: Pose of the contact frame in the base frame (6,) [m, rad].
-        dome_radius: Radius of the sensor's spherical top [m]; None: flat.
-        gauge_depth: Depth of the F/T sensor's origin below the undeformed surface [m].
+    Without `dome_radius` [m] the top is flat; the F/T sensor's origin is `gauge_depth` below [m].
     """
 
     def __init__(
@@ -50,14 +47,10 @@ class ContactFrame:
     def state(
         self, t_ns: int, pose: np.ndarray, tip: np.ndarray, shear: np.ndarray, wrench: np.ndarray
     ) -> np.void:
-        """Return the WORLD_STATE of a contact.
+        """Return the WORLD_STATE of a contact, with the TCP `pose` (6,) in the base frame [m, rad].
 
-        Args:
-            t_ns: Time [ns].
-            pose: TCP in the base frame (6,) [m, rad].
-            tip: Tip as `tip` returns it (3,) [m].
-            shear: Mean displacement of the contact sideways (2,) [m].
-            wrench: On the sensor, about the tip (6,) [N, N m].
+        The tip (3,) is as `tip` returns it [m], the shear (2,) its mean displacement sideways [m],
+        the wrench (6,) on the sensor about the tip [N, N m].
         """
         state: np.void = np.zeros(1, WORLD_STATE)[0]
         state["t_ns"] = t_ns

@@ -47,11 +47,6 @@ class WorldHost(Emulator):
         self._states = states
         self._truth = truth
 
-    @property
-    def address(self) -> str:
-        """Text in place of an address: the host is reached through shared memory."""
-        return "shared memory"
-
     def start(self) -> None:
         """Follow the arm from now on."""
         self._run_threads(self._run)

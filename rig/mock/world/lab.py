@@ -29,12 +29,9 @@ class Skin:
         self._touched = False
 
     def wrench(self, wrench: np.ndarray, tip: np.ndarray, seconds: float) -> np.ndarray:
-        """Return the wrench (6,) [N, N m] on a skin that would bear `wrench` without the effects.
+        """Return the wrench (6,) [N, N m] about a tip (3,) [m] above the skin, with the effects.
 
-        Args:
-            wrench: About the tip (6,) [N, N m].
-            tip: Above the skin (3,) [m].
-            seconds: Since the last call [s].
+        `seconds` have passed since the last call.
         """
         lab, height = self._lab, float(tip[2])
         if lab.creep:

@@ -14,13 +14,7 @@ from rig.mock.world.sensors import dome_of, ladder_press, row_of
 
 
 class LadderWorld:
-    """Moves a press of `sim.ladder` along the arm's path.
-
-    Args:
-        spec: The World.
-        indenter: Name of the indenter on the arm.
-        contact_frame: Pose (6,) of the contact frame in the base frame [m, rad].
-    """
+    """Moves a press of `sim.ladder` along the arm's path; `contact_frame` is in the base."""
 
     def __init__(self, spec: WorldSpec, indenter: str, contact_frame: tuple[float, ...]) -> None:
         dome = dome_of(row_of(spec), spec.tier)
@@ -31,12 +25,7 @@ class LadderWorld:
         self._t_ns: int | None = None
 
     def step(self, t_ns: int, pose: np.ndarray) -> np.void:
-        """Return the next state.
-
-        Args:
-            t_ns: Time of the pose [ns].
-            pose: TCP in the base frame (6,) [m, rad].
-        """
+        """Return the state at `t_ns` of the TCP at `pose` (6,) in the base frame [m, rad]."""
         tip = self._frame.tip(pose)
         if self._held is not None:
             tip = tip + self._held.given

@@ -16,13 +16,9 @@ _BEYOND = 0.5
 
 
 class Backdrop:
-    """Image of a lit gel without markers, and the noise of the camera.
+    """Image of a lit gel of an RGB colour without markers, and the noise of the camera.
 
-    Args:
-        background: Colour of the gel, RGB.
-        grey_noise: Standard deviation of the image noise [grey levels].
-        light: Coloured lamps at the sides, or one white light.
-        seed: Seed of the noise.
+    The lamps at the sides are coloured, or there is one white light; noise is in grey levels.
     """
 
     def __init__(
@@ -97,9 +93,8 @@ class MarkerPicture:
 def coverage(rims: np.ndarray, canvas: np.ndarray | None = None) -> np.ndarray:
     """Return the fraction of each pixel inside a rim (480, 640) uint8, 255 for a covered pixel.
 
-    Args:
-        rims: Column and row of the rims' points (n, m, 2) [px]; whole numbers are pixel centres.
-        canvas: Array of an earlier call to draw on, (480, 640) times `FINE`, uint8; it is cleared.
+    Rims (n, m, 2) have column and row [px]; whole numbers are pixel centres. The canvas to draw on
+    is (480, 640) times `FINE`, uint8.
     """
     import cv2
 

@@ -98,11 +98,6 @@ class Solver(Emulator):
         """Longest time between two solutions in contact."""
         self._began_ns = 0
 
-    @property
-    def address(self) -> str:
-        """Text in place of an address: the solver is reached through shared memory."""
-        return "shared memory"
-
     def start(self) -> None:
         """Publish the sensor without contact and follow the arm from now on."""
         self._shared.publish(self._clock.now_ns())

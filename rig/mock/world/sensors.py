@@ -123,9 +123,7 @@ def taxels_of(spec: WorldSpec) -> tuple[int, int]:
     return getattr(signal, "rows", 0), getattr(signal, "columns", 0)
 
 
-def pad_of(
-    spec: WorldSpec,
-) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+def pad_of(spec: WorldSpec) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
     """Return a pad's points (n, 2) [m], and a function of their displacement (n, 3) [m].
 
     The function returns raw counts (taxels, 3).

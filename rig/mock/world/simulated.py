@@ -41,12 +41,7 @@ class SimulatedWorld:
         self._between = Between(spec, folder)
 
     def step(self, t_ns: int, pose: np.ndarray) -> np.void:
-        """Return the next state.
-
-        Args:
-            t_ns: Time of the pose [ns].
-            pose: TCP in the base frame (6,) [m, rad].
-        """
+        """Return the state at `t_ns` of the TCP at `pose` (6,) in the base frame [m, rad]."""
         tip = self._frame.tip(pose)
         values = self._between.at(t_ns, tip)
         return self._frame.state(t_ns, pose, tip, self._between.press["shear"], values[:6])
