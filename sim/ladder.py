@@ -106,7 +106,7 @@ class Presses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ByFem:
-    """Force, stiffness and surface by `fem` against those of the presses of a ladder, at k depths."""
+    """Force, stiffness and surface by `fem` against those of a ladder's presses, at k depths."""
 
     depth: Array
     """Depth of the tip (k,) [m]."""
@@ -144,9 +144,9 @@ class ByFem:
         return ratio, error + np.maximum(depths / self.depth[-1] - 1, 0.0) / 2
 
     def moves(self, depth: float, points: Array) -> Array:
-        """Return `moved` at `depth` [m] and points (p, 2) over the body's half side, as displacement.
+        """Return how `fem` moves points (p, 2) more than the presses at `depth` [m] (p, 3) [m].
 
-        Returns (p, 3) [m].
+        Points are places over half the body's side.
         """
         assert self.moved is not None
         at = float(np.interp(depth, self.depth, np.arange(len(self.depth))))
@@ -354,9 +354,8 @@ class Fields:
         if by_fem.moved is None:
             free = np.ones(normal.shape[:3], bool)
             own = presses.traction[:, 2, ::COARSE, ::COARSE] == 0
-            first, second = (
-                (many - few) // 2 for many, few in zip(free.shape[1:], own.shape[1:], strict=True)
-            )
+            first = (len(x) - own.shape[1]) // 2
+            second = (len(y) - own.shape[2]) // 2
             free[:, first : first + own.shape[1], second : second + own.shape[2]] = own
             normal[..., :2] += free[..., None] * _drawn(normal[..., 2], presses.depth, x, y)
         return cls(
@@ -575,20 +574,6 @@ def solved(felt: Indenter, body: Body, deepest: float) -> Presses:
         height[step] = depth + (pressure * press.displacement[2]).sum() / pressure.sum()
         traction[step] = press.traction / skin.modulus
     return Presses(depths, wrench, height, traction)
-
-
-def package(rows: list[SimulatedSensor], names: list[str]) -> None:
-    """Solve the ladders of the named indenters on the skins of some sensors, and package them."""
-    for skin in {name_of_skin(row.body) for row in rows}:
-        row = max(
-            (row for row in rows if name_of_skin(row.body) == skin), key=lambda row: row.depth_max
-        )
-        arrays: dict[str, Any] = {}
-        for name in names:
-            felt = row.scene(named(name), Motion(((0.0, 0.0, 0.0),), (0.0,))).indenter
-            presses = solved(felt, row.body, BEYOND * row.depth_max)
-            arrays |= presses.packed(f"{name_of(felt, row.body)}.")
-        np.savez_compressed(PACKAGED / f"{skin}.npz", **arrays)
 
 
 def presses_of(felt: Indenter, row: SimulatedSensor, keep: Path) -> Presses:
