@@ -13,7 +13,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Fits force over depth of each sensor (degree 2, loading and unloading) and "
         "writes, for each pair, d0 and lambda of the supplement's equations 7 to 9: a fixed "
         "default, a label-free choice by the priors' fits, and an oracle that uses the target's "
-        "labels. train force --compensation reads the file."
+        "labels. train force --labels reads the file."
     )
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
     parser.add_argument("--out", type=Path, metavar="JSON", required=True, help="file to write")

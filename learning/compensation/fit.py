@@ -59,7 +59,7 @@ UNITS = "d0: fraction of the source's depth range; depths m; forces, errors and 
 
 @dataclass(frozen=True, slots=True)
 class PairCompensation:
-    """Compensation of the labels of one sensor for another; applied by `learning.force.train`."""
+    """Compensation of the labels of one sensor for another; applied by `learning.force.labels`."""
 
     source: Prior
     target: Prior

@@ -67,7 +67,7 @@ _SMALL = (30, 30)
 # Frames without contact that are kept before and after a press, if there are some.
 _AROUND = 2
 # File names of single pictures that show no contact.
-_NO_CONTACT = ("ref", "reference", "background", "no_contact", "no_contact", "rest")
+_NO_CONTACT = ("ref", "reference", "background", "no_contact", "no-contact", "rest")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -408,8 +408,10 @@ def stages_of(scene: Scene) -> list[MotionStage]:
     stages: list[MotionStage] = []
     while True:
         tops = {i: look.top for i, look in enumerate(looks[:count]) if look.top < math.inf}
-        if not tops:
+        if not tops and stages:
             return stages
+        if not tops:  # only the ways between waypoints press
+            tops = {0: max(look.top for look in looks if look.top < math.inf)}
         least_size = max(tops.values()) / MANY_SIZES
         joined = NOTHING
         for look in looks[:count] if stages else looks:

@@ -19,7 +19,7 @@ from sim.fem.solver import refines, simulate_fem
 from sim.indenters import sphere
 from sim.indenters.shapes import bar
 from sim.result import Result, half_widths
-from sim.scene import Body, Scene, press
+from sim.scene import Body, Motion, Scene, press
 
 
 def test_a_piece_asks_for_the_same_sizes_alone_and_beside_others() -> None:
@@ -111,3 +111,13 @@ def test_a_needle_hundreds_of_times_as_long_as_its_contact_is_wide_has_sizes() -
     (stage,) = stages_of(Scene(needle, press([1.8e-6]), Body(size_x=16e-3, size_y=16e-3)))
     half_width = math.sqrt(2 * 0.481e-3 * 1.8e-6)
     assert 0.3 * half_width < stage.sizes.width < 3 * half_width
+
+
+def test_a_way_that_presses_between_waypoints_that_do_not_has_a_mesh() -> None:
+    tips = (-6e-3, 0.0, -1e-4), (6e-3, 0.0, -1e-4)
+    over_dome = Scene(
+        sphere(1e-3), Motion(tips, (0.0, 1.0)), Body(20e-3, 20e-3, 4e-3, dome_radius=60e-3)
+    )
+    (stage,) = stages_of(over_dome)
+    assert stage.waypoints == 2
+    assert 0.0 < stage.sizes.top < 1e-3
