@@ -264,7 +264,26 @@ def write_compensation(
     curves: Curves = ARCHIVED,
     split: Path | None = None,
 ) -> list[str]:
-    """Write the compensations between an archive's sensors, and a picture; return lines of tables.
+    """Write the curves of `find_compensation` and their picture; return lines of tables."""
+    compensation, gathered = find_compensation(archive, pairs=pairs, curves=curves, split=split)
+    compensation.write(out)
+    picture = out.with_suffix(".png")
+    draw_curves(compensation, gathered, picture)
+    return [
+        *tables(compensation, gathered),
+        *_labels_by_twins(archive, compensation, split),
+        f"{out}, {picture}: written",
+    ]
+
+
+def find_compensation(
+    archive: MarkerArchive,
+    *,
+    pairs: Sequence[tuple[str, str]] | None = None,
+    curves: Curves = ARCHIVED,
+    split: Path | None = None,
+) -> tuple[StoredCompensation, ArchivePriors]:
+    """Find compensations between an archive's sensors; return them with their curves.
 
     `pairs` are sources and targets, by default all with a prior; `curves` are sources in addition
     to the archive's rows. Labels are those of a split's training presses, without one of all seen
@@ -279,15 +298,7 @@ def write_compensation(
             one, other = gathered.priors[source], gathered.priors[target]
             compensated.append(_chosen(one, other, paired_labels(archive, source, target, split)))
         progress(len(wanted), len(wanted))
-    compensation = StoredCompensation(gathered.priors, tuple(compensated), made_from=archive.name)
-    compensation.write(out)
-    picture = out.with_suffix(".png")
-    draw_curves(compensation, gathered, picture)
-    return [
-        *tables(compensation, gathered),
-        *_labels_by_twins(archive, compensation, split),
-        f"{out}, {picture}: written",
-    ]
+    return StoredCompensation(gathered.priors, tuple(compensated), made_from=archive.name), gathered
 
 
 def _chosen(source: Prior, target: Prior, paired: PairedLabels | None) -> StoredPair:
