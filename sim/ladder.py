@@ -18,13 +18,12 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 import os
 import zipfile
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -60,9 +59,9 @@ RESTED = 1e-6
 # Error of a force by a table of `fem`, beside that of the table, over the force; and the least one
 # of an indenter without a table, for which the middle of the others stands in.
 INTERPOLATED, ANOTHER = 0.03, 0.15
-# Ladders that come with the simulator, a file per skin; and `fem` over `layer` against depth.
+# Ladders that come with the simulator, and `fem` against them: two files per skin.
 PACKAGED = Path(__file__).parent / "ladders"
-TABLE = PACKAGED / "fem.json"
+NUMBERS = "depth", "ratio", "error", "side"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,7 +106,7 @@ class Presses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ByFem:
-    """Force and stiffness by `fem` over those of the presses of a ladder, at k depths."""
+    """Force, stiffness and surface by `fem` against those of a ladder's presses, at k depths."""
 
     depth: Array
     """Depth of the tip (k,) [m]."""
@@ -117,11 +116,44 @@ class ByFem:
     """Stated error of the force, over it (k,)."""
     side: float = 1.0
     """Tangential stiffness by `fem` over that of the presses, beyond the ratio of forces."""
+    moved: Array | None = None
+    """Displacement of the top by `fem` less that by the presses, over the depth (k, m, m, 3), at
+    places evenly spaced across the body; None: unknown."""
+
+    @classmethod
+    def read(cls, file: Mapping[str, Any], key: str, *, whole: bool = True) -> Self:
+        """Return what `packed` has written; `moved` only if `whole`."""
+        depth, ratio, error, side = (file[f"{key}.{name}"] for name in NUMBERS)
+        if not whole:
+            return cls(depth, ratio, error, float(side))
+        moved = file[f"{key}.levels"] * file[f"{key}.unit"]
+        return cls(depth, ratio, error, float(side), moved)
+
+    def packed(self, key: str) -> dict[str, Any]:
+        """Return arrays for a file; displacements have 8 bits."""
+        arrays = {name: np.asarray(getattr(self, name), np.float32) for name in NUMBERS}
+        if self.moved is not None:
+            unit = np.abs(self.moved).max(axis=(1, 2), keepdims=True) / 127 + 1e-12
+            arrays["levels"] = np.round(self.moved / unit).astype(np.int8)
+            arrays["unit"] = unit.astype(np.float32)
+        return {f"{key}.{name}": array for name, array in arrays.items()}
 
     def at(self, depths: Array) -> tuple[Array, Array]:
         """Return ratio and error at some depths [m]."""
         ratio, error = (np.interp(depths, self.depth, one) for one in (self.ratio, self.error))
         return ratio, error + np.maximum(depths / self.depth[-1] - 1, 0.0) / 2
+
+    def moves(self, depth: float, points: Array) -> Array:
+        """Return how `fem` moves points (p, 2) more than the presses at `depth` [m] (p, 3) [m].
+
+        Points are places over half the body's side.
+        """
+        assert self.moved is not None
+        at = float(np.interp(depth, self.depth, np.arange(len(self.depth))))
+        level = min(int(at), len(self.depth) - 2)
+        field = (1 - at + level) * self.moved[level] + (at - level) * self.moved[level + 1]
+        places = np.linspace(-1.0, 1.0, field.shape[0])
+        return depth * _bilinear(field, (places, places), np.clip(points, -1.0, 1.0))
 
 
 # Nothing added.
@@ -143,6 +175,8 @@ class Ladder:
         self.depth_max = float(self.depths[-1])
         """Depth of the deepest step [m]."""
         ratio, self._error = by_fem.at(presses.depth)
+        self.by_fem = by_fem
+        """Corrections by `fem`."""
         scale = ratio * body.modulus
         self._presses, self._side_scale = presses, by_fem.side * scale[:, None]
         self._forces = np.concatenate([[0.0], -presses.wrench[:, 2] * scale])
@@ -156,7 +190,7 @@ class Ladder:
     @cached_property
     def fields(self) -> Fields:
         """Displacement of the top."""
-        return Fields.of(self._presses, self.body)
+        return Fields.of(self._presses, self.body, self.by_fem)
 
     @cached_property
     def _stiffness(self) -> Array:
@@ -284,8 +318,8 @@ class Fields:
     """Tangential stiffness of each contact along x, along y, for a modulus of 1 Pa (n, 2) [N/m]."""
 
     @classmethod
-    def of(cls, presses: Presses, body: Body) -> Self:
-        """Return the fields of some presses.
+    def of(cls, presses: Presses, body: Body, by_fem: ByFem) -> Self:
+        """Return the fields of some presses, mended by `fem`.
 
         A contact that moves sideways as a whole has the tractions by which its next step presses:
         those of a flat punch of its outline.
@@ -317,11 +351,13 @@ class Fields:
             (np.arange(count) - count / 2) * COARSE * pixel + pixel / 2
             for count, pixel in zip(normal.shape[1:3], grid.pixel, strict=True)
         )
-        free = np.ones(normal.shape[:3], bool)
-        first = [(len(axis) - n // COARSE) // 2 for axis, n in zip((x, y), grid.shape, strict=True)]
-        own = presses.traction[:, 2, ::COARSE, ::COARSE] == 0
-        free[:, first[0] : first[0] + own.shape[1], first[1] : first[1] + own.shape[2]] = own
-        normal[..., :2] += free[..., None] * _drawn(normal[..., 2], presses.depth, x, y)
+        if by_fem.moved is None:
+            free = np.ones(normal.shape[:3], bool)
+            own = presses.traction[:, 2, ::COARSE, ::COARSE] == 0
+            first = (len(x) - own.shape[1]) // 2
+            second = (len(y) - own.shape[2]) // 2
+            free[:, first : first + own.shape[1], second : second + own.shape[2]] = own
+            normal[..., :2] += free[..., None] * _drawn(normal[..., 2], presses.depth, x, y)
         return cls(
             x,
             y,
@@ -333,19 +369,24 @@ class Fields:
 
     def at(self, field: Array, points: Array) -> Array:
         """Return a field (X, Y, 3) at points (m, 2) [m], 0 beyond its places (m, 3)."""
-        value, inside = np.zeros((len(points), 3), np.float32), np.ones(len(points), bool)
-        nodes, parts = [], []
-        for axis, line in zip((self.x, self.y), points.T, strict=True):
-            position = (line - axis[0]) / (axis[1] - axis[0])
-            inside &= (position >= 0) & (position <= len(axis) - 1)
-            nodes.append(np.clip(position.astype(int), 0, len(axis) - 2))
-            parts.append((position - nodes[-1])[:, None].astype(np.float32))
-        for i in (0, 1):
-            for j in (0, 1):
-                weight = np.abs(1 - i - parts[0]) * np.abs(1 - j - parts[1])
-                value += weight * field[nodes[0] + i, nodes[1] + j]
-        value[~inside] = 0
-        return value
+        return _bilinear(field, (self.x, self.y), points)
+
+
+def _bilinear(field: Array, axes: tuple[Array, Array], points: Array) -> Array:
+    """Return a field (X, Y, 3) with even axes at points (m, 2), 0 beyond its places (m, 3)."""
+    value, inside = np.zeros((len(points), 3), np.float32), np.ones(len(points), bool)
+    nodes, parts = [], []
+    for axis, line in zip(axes, points.T, strict=True):
+        position = (line - axis[0]) / (axis[1] - axis[0])
+        inside &= (position >= 0) & (position <= len(axis) - 1)
+        nodes.append(np.clip(position.astype(int), 0, len(axis) - 2))
+        parts.append((position - nodes[-1])[:, None].astype(np.float32))
+    for i in (0, 1):
+        for j in (0, 1):
+            weight = np.abs(1 - i - parts[0]) * np.abs(1 - j - parts[1])
+            value += weight * field[nodes[0] + i, nodes[1] + j]
+    value[~inside] = 0
+    return value
 
 
 def _drawn(dent: Array, depth: Array, x: Array, y: Array) -> Array:
@@ -487,16 +528,23 @@ class LadderPress:
         """Return the displacement (n, 3) [m] of the top at undeformed points (n, 2) [m]."""
         if not self._elastic.any():
             return np.zeros((len(points), 3), np.float32)
-        fields = self._ladder.fields
-        at, part = self._ladder.place(self._dent)
+        ladder, fields = self._ladder, self._ladder.fields
+        at, part = ladder.place(self._dent)
         field = (1 - part) * fields.normal[at] + part * fields.normal[at + 1]
         pressed = self._force[:, 2]
         slipped = float(pressed @ self._slipped) / max(float(pressed.sum()), 1e-30)
         if slipped:
             field -= slipped * ((1 - part) * fields.rubbed[at] + part * fields.rubbed[at + 1])
-        moved = self._elastic[:, :2] / self._ladder.sideways
-        field += np.tensordot(moved.astype(np.float32), fields.sideways, 2)
-        return fields.at(field, np.asarray(points, float) - self.tip[:2] + self.shear)
+        sheared = self._elastic[:, :2] / ladder.sideways
+        field += np.tensordot(sheared.astype(np.float32), fields.sideways, 2)
+        centre = self.tip[:2] - self.shear
+        aside = np.asarray(points, float) - centre
+        moved = fields.at(field, aside)
+        if ladder.by_fem.moved is not None:
+            # From the contact's middle to each wall as from the body's.
+            wall = np.where(aside < 0, -0.5, 0.5) * (ladder.body.size_x, ladder.body.size_y)
+            moved += ladder.by_fem.moves(self._dent, aside / np.abs(wall - centre))
+        return moved
 
     @property
     def _dent(self) -> float:
@@ -526,20 +574,6 @@ def solved(felt: Indenter, body: Body, deepest: float) -> Presses:
         height[step] = depth + (pressure * press.displacement[2]).sum() / pressure.sum()
         traction[step] = press.traction / skin.modulus
     return Presses(depths, wrench, height, traction)
-
-
-def package(rows: list[SimulatedSensor], names: list[str]) -> None:
-    """Solve the ladders of the named indenters on the skins of some sensors, and package them."""
-    for skin in {name_of_skin(row.body) for row in rows}:
-        row = max(
-            (row for row in rows if name_of_skin(row.body) == skin), key=lambda row: row.depth_max
-        )
-        arrays: dict[str, Any] = {}
-        for name in names:
-            felt = row.scene(named(name), Motion(((0.0, 0.0, 0.0),), (0.0,))).indenter
-            presses = solved(felt, row.body, BEYOND * row.depth_max)
-            arrays |= presses.packed(f"{name_of(felt, row.body)}.")
-        np.savez_compressed(PACKAGED / f"{skin}.npz", **arrays)
 
 
 def presses_of(felt: Indenter, row: SimulatedSensor, keep: Path) -> Presses:
@@ -589,26 +623,22 @@ def name_of(felt: Indenter, body: Body) -> str:
     return hashlib.sha256(repr(settings).encode()).hexdigest()[:12]
 
 
-@cache
-def _table() -> dict[str, Any]:
-    return dict(json.loads(TABLE.read_text()))
-
-
 def fem_of(key: str, body: Body) -> ByFem:
     """Return the correction by `fem` of the ladder of that name on a body's skin.
 
     An indenter without a table has the middle of the others on such a skin.
     """
-    table, skin = _table(), name_of_skin(body)
-    if key in table:
-        own = table[key]
-        depth, ratio, error = (np.array(own[name]) for name in ("depth", "ratio", "error"))
-        return ByFem(depth, ratio, error + INTERPOLATED, own["side"])
-    others = [one for one in table.values() if one["skin"] == skin]
-    if not others:
+    path = PACKAGED / f"fem-{name_of_skin(body)}.npz"
+    if not path.exists():
         return BARE
-    depth = np.array(max((one["depth"] for one in others), key=lambda depth: float(depth[-1])))
-    ratios = np.stack([np.interp(depth, one["depth"], one["ratio"]) for one in others])
+    with np.load(path) as file:
+        names = [name.removesuffix(".depth") for name in file.files if name.endswith(".depth")]
+        if key in names:
+            own = ByFem.read(file, key)
+            return replace(own, error=own.error + INTERPOLATED)
+        others = [ByFem.read(file, name, whole=False) for name in names]
+    depth = max((one.depth for one in others), key=lambda depth: float(depth[-1]))
+    ratios = np.stack([np.interp(depth, one.depth, one.ratio) for one in others])
     middle = np.median(ratios, axis=0)
     return ByFem(depth, middle, np.maximum(np.abs(ratios / middle - 1).max(axis=0), ANOTHER))
 
