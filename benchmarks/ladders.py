@@ -78,7 +78,7 @@ STIFFNESS = 0.6, 1.6
 def motion_of(row: SimulatedSensor, name: str, kind: str) -> Motion:
     """Return the motion of an indenter on a sensor; a sheared one is drawn by the names."""
     if kind == "normal":
-        return press([share * row.depth_max for share in DEPTHS])
+        return press([part * row.depth_max for part in DEPTHS])
     seed = hashlib.sha256(f"{row.name} {name}".encode()).digest()
     random = np.random.default_rng(list(seed))
     depth = float(random.uniform(*SHEARED)) * row.depth_max

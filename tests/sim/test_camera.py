@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 import recorder.markers
 from sim.markers import DISTANCE, FOCAL, HEIGHT, WIDTH, Camera
-from sim.metrics import pixels_of
 from sim.scene import Body
 
 PLACES = np.random.default_rng(3).uniform(-8e-3, 8e-3, (200, 2))
@@ -85,6 +84,6 @@ def test_x_is_to_the_right_y_is_up_and_what_is_nearer_looks_larger() -> None:
     """In images, and in the pixels of the measure of errors."""
     points = np.concatenate([FLAT[:, :2], -np.abs(FLAT[:, :1])], axis=1)
     by_hand = FOCAL * points[:, :2] / (DISTANCE + points[:, 2:])
-    assert np.array_equal(pixels_of(points), by_hand)
+    assert np.array_equal(Camera.paper().on_film(points), by_hand)
     flipped = Camera.paper().project(points) - (319.5, 239.5)
     np.testing.assert_allclose(flipped * (1, -1), by_hand, atol=1e-9)

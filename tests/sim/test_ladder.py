@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from sim import ladder as ladders
+from sim import simulate
+from sim.fem import Fem
 from sim.indenters import named, sphere
 from sim.ladder import Ladder, LadderPress
-from sim.scene import Effects, Motion
-from sim.sensors import sensor
+from sim.scene import Effects, Motion, Scene, press
+from sim.sensors import SurfaceField, sensor
 from sim.stream.stream import LivePress
 
 ROW = sensor("r6")
@@ -58,6 +60,23 @@ def test_markers_move_as_in_the_solver_where_skin_is_not_drawn(
         true = np.moveaxis(solver.displacement, 0, -1)[8:-8:4, 8:-8:4].reshape(-1, 3)
         off = press.markers(np.stack(at, axis=-1).reshape(-1, 2)) - true
         assert np.linalg.norm(off) <= 0.1 * np.linalg.norm(true)
+
+
+@pytest.mark.parametrize(("x", "y", "most"), [(0.0, 0.0, 0.12), (1.5, -1.0, 0.17)])
+def test_markers_of_a_press_move_as_by_finite_elements(x: float, y: float, most: float) -> None:
+    at = x * MM, y * MM
+    still = Effects(friction=ROW.effects.friction)
+    scene = Scene(named("sphere_s"), press([0.6 * MM], at=at), ROW.body, still)
+    true = simulate(scene, Fem(fineness=0.5))
+    own = LadderPress(Ladder.of("sphere_s", ROW), FRICTION)
+    for fraction in np.linspace(0.0, 1.0, 9):
+        own.move(np.array([*at, -0.6 * MM * fraction]), 1.0)
+    axis = np.linspace(-0.4, 0.4, 17) * ROW.body.size_x
+    places = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    moved = np.asarray(SurfaceField.of(true).at(places))[-1]
+    off = np.linalg.norm((own.markers(places) - moved)[:, :2])
+    assert off < most * np.linalg.norm(moved[:, :2])
+    assert own.wrench[2] == pytest.approx(true.force[-1, 2], rel=0.05)
 
 
 def test_shear_never_exceeds_friction_nothing_pulls_and_loops_lose_work(ladder: Ladder) -> None:
