@@ -158,7 +158,7 @@ def package(presses: dict[str, Row]) -> None:
             field = moved[of if worst[of, name] < MOST else best, name]
             tables[name] = table_of(row, name, presses, field)
         middle = np.median([one.ratio for one in tables.values() if one.error[0] < ANOTHER], axis=0)
-        arrays: dict[str, Any] = {}
+        arrays: dict[str, Any] = {"size": row.body.size_x}
         for name, table in tables.items():
             if table.error[0] >= ANOTHER:
                 table = replace(table, ratio=middle)

@@ -59,6 +59,9 @@ RESTED = 1e-6
 # Error of a force by a table of `fem`, beside that of the table, over the force; and the least one
 # of an indenter without a table, for which the middle of the others stands in.
 INTERPOLATED, ANOTHER = 0.03, 0.15
+# Difference of a body's sides from those of a table, over them, up to which its walls move the top
+# as that body's.
+STRETCHED = 0.15
 # Ladders that come with the simulator, and `fem` against them: two files per skin.
 PACKAGED = Path(__file__).parent / "ladders"
 NUMBERS = "depth", "ratio", "error", "side"
@@ -634,7 +637,8 @@ def fem_of(key: str, body: Body) -> ByFem:
     with np.load(path) as file:
         names = [name.removesuffix(".depth") for name in file.files if name.endswith(".depth")]
         if key in names:
-            own = ByFem.read(file, key)
+            sides = np.array([body.size_x, body.size_y]) / file["size"]
+            own = ByFem.read(file, key, whole=bool((np.abs(sides - 1) < STRETCHED).all()))
             return replace(own, error=own.error + INTERPOLATED)
         others = [ByFem.read(file, name, whole=False) for name in names]
     depth = max((one.depth for one in others), key=lambda depth: float(depth[-1]))
