@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import math
 import os
 import zipfile
 from collections.abc import Mapping
@@ -184,7 +185,12 @@ class Ladder:
         self._presses, self._side_scale = presses, by_fem.side * scale[:, None]
         self._forces = np.concatenate([[0.0], -presses.wrench[:, 2] * scale])
         self._fine = np.linspace(0.0, 1.0, 8 * STEPS + 1) ** POWER * self.depth_max
-        self._fine_force = PchipInterpolator(self.depths, self._forces)(self._fine)
+        # Between rungs the force over a power of the depth changes little, down to no depth at all.
+        lightest, next_ = self._forces[1:3]
+        power = math.log(next_ / lightest) / math.log(self.depths[2] / self.depths[1])
+        smooth = self._forces[1:] / self.depths[1:] ** power
+        between = PchipInterpolator(self.depths, np.concatenate([smooth[:1], smooth]))
+        self._fine_force = between(self._fine) * self._fine**power
         self._last = float(np.diff(self._fine_force[-2:])[0] / np.diff(self._fine[-2:])[0])
         pressed = -presses.wrench[:, 2:3]
         units = np.column_stack([presses.wrench / pressed, presses.height])

@@ -64,7 +64,7 @@ def test_the_onset_is_found_whatever_presses_on_whatever_relaxes(
         onset = find_onset(*_approach(spec, indenter, seed, surface=0.2e-3, noise=0.003))
         assert onset is not None
         errors.append(onset.z - 0.2e-3)
-        # The interval is statistical only; `combine` adds 3 um for timing.
+        # The interval is that of one approach; `combine` adds 3 um for timing.
         inside += onset.interval[0] - 3e-6 <= 0.2e-3 <= onset.interval[1] + 3e-6
     assert np.abs(errors).max() < 25e-6
     assert inside >= 3
