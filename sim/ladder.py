@@ -189,8 +189,8 @@ class Ladder:
         lightest, next_ = self._forces[1:3]
         power = math.log(next_ / lightest) / math.log(self.depths[2] / self.depths[1])
         smooth = self._forces[1:] / self.depths[1:] ** power
-        between = PchipInterpolator(self.depths, np.concatenate([smooth[:1], smooth]))
-        self._fine_force = between(self._fine) * self._fine**power
+        over_power = PchipInterpolator(self.depths, np.concatenate([smooth[:1], smooth]))
+        self._fine_force = over_power(self._fine) * self._fine**power
         self._last = float(np.diff(self._fine_force[-2:])[0] / np.diff(self._fine[-2:])[0])
         pressed = -presses.wrench[:, 2:3]
         units = np.column_stack([presses.wrench / pressed, presses.height])
