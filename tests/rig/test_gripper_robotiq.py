@@ -1,8 +1,10 @@
 """The gripper's driver and emulator over a pty, and the emulator with a third-party client."""
 
+import os
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import minimalmodbus
 import pytest
@@ -20,10 +22,15 @@ from rig.devices.gripper.robotiq_wire import (
     ACTIVE,
     AT_POSITION,
     MOVING,
+    READ_INPUT,
+    REGISTERS,
     SILENT_FAULT,
+    STATUS_ADDRESS,
     STOPPED_CLOSING,
     GripperCommand,
     GripperStatus,
+    ModbusRequest,
+    emit_reply,
     parse_status,
 )
 from rig.devices.gripper.settings import RobotiqConfig
@@ -228,6 +235,25 @@ def test_a_reply_that_trickles_in_has_one_time_limit(
         monkeypatch.setattr(emulator.faults, "passed", trickle)
         with pytest.raises(DeviceLost):
             driver.status()
+
+
+class LateClock(FakeClock):
+    """Clock of a thread that runs once a second."""
+
+    def now_ns(self) -> int:
+        self.advance(1.0)
+        return super().now_ns()
+
+
+def test_a_thread_that_runs_too_late_reads_what_has_come() -> None:
+    request = ModbusRequest(9, READ_INPUT, STATUS_ADDRESS, REGISTERS)
+    sent = emit_reply(request, (0xB900, 0x00FF, 0x7806))
+    reader, writer = os.pipe()
+    os.write(writer, sent)
+    with os.fdopen(reader, "rb", buffering=0) as port, os.fdopen(writer, "wb"):
+        late = RobotiqDriver(RobotiqConfig(port="/dev/null"), LateClock())
+        line = SimpleNamespace(fileno=port.fileno, in_waiting=len(sent), read=port.read)
+        assert late._reply(line, request) == sent
 
 
 def test_nobody_at_the_address_or_the_port_is_a_lost_device(

@@ -202,12 +202,15 @@ class RobotiqDriver:
             raise DeviceLost(f"{self._where}: {error}") from error
 
     def _reply(self, port: Any, request: ModbusRequest) -> bytes:
-        """Return the bytes received within the time limit, up to the end of the reply."""
+        """Return the bytes received within the time limit, up to the end of the reply.
+
+        Those that have come are read however late this thread runs, on a busy computer.
+        """
         deadline_ns = self._clock.now_ns() + round(self._config.answer * SECOND_NS)
         frame, length = b"", _REFUSAL
         while len(frame) < length:
-            left = (deadline_ns - self._clock.now_ns()) / SECOND_NS
-            if left <= 0 or not select.select([port], [], [], left)[0]:
+            left = max(0, deadline_ns - self._clock.now_ns()) / SECOND_NS
+            if not select.select([port], [], [], left)[0]:
                 break
             frame += port.read(min(max(port.in_waiting, 1), length - len(frame)))
             if len(frame) == _REFUSAL and not frame[1] & 0x80:
