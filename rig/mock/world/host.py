@@ -23,8 +23,8 @@ from rig.mock.world.contact import World
 from rig.mock.world.lab import Gauge
 from rig.mock.world.truth import TruthLog
 
-# The arm's cycle is 2 ms: polling five times per cycle delays the sensors by at most 0.4 ms.
-_POLL_NS = 400_000
+# The arm's cycle is 2 ms: after most of it, polling delays the sensors by at most 0.4 ms.
+_REST_NS, _POLL_NS = 1_400_000, 400_000
 
 
 class WorldHost(Emulator):
@@ -83,7 +83,7 @@ class WorldHost(Emulator):
             if count == last_count:
                 clock.sleep_until(clock.now_ns() + _POLL_NS)
                 continue
-            record = self._arm.read()
+            seen_ns, record = clock.now_ns(), self._arm.read()
             self.missed += max(count - last_count - 1, 0)
             last_count = count
             if record is None:
@@ -93,6 +93,7 @@ class WorldHost(Emulator):
                 self._truth.append(state)
             state["wrench"] = self._gauge.measured(state)
             self._states.write(state)
+            clock.sleep_until(seen_ns + _REST_NS)
 
 
 def emulate(settings: WorldConfig, _: Clock) -> Served:
