@@ -3,18 +3,19 @@
 import ctypes
 import gc
 import os
+from contextlib import suppress
 
 from rig.core.clock import SECOND_NS
 
 # Stream processes.
 RIG_PRIORITY = 50
-# Process that moves the arm: below the streams, which never wait without sleeping.
-ARM_PRIORITY = 45
+# Niceness of the process that moves the arm. It waits for the controller without sleeping: with a
+# real-time priority nothing else would run on that core for up to a second.
+ARM_NICENESS = -15
 # Emulators: the devices that they replace run regardless of the host's load.
 DEVICE_PRIORITY = 60
-# Camera emulator, which draws for milliseconds at a time: below the streams, but above the arm's
-# process, which keeps a core busy while it waits for the controller.
-CAMERA_PRIORITY = 47
+# Camera emulator, which draws for milliseconds at a time: below every process that must not wait.
+CAMERA_PRIORITY = 40
 # Solver of a simulated World: busier than the camera; running late only costs accuracy.
 SOLVER_PRIORITY = 30
 _PR_SET_TIMERSLACK = 29
@@ -41,6 +42,12 @@ def take_priority(priority: int) -> bool:
     except (OSError, AttributeError):
         return False
     return True
+
+
+def take_share(niceness: int) -> None:
+    """Let this thread, and those that it starts, run more than others, if the system allows it."""
+    with suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, niceness)
 
 
 def may_have_priority() -> bool:

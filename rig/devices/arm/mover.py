@@ -31,7 +31,7 @@ from rig.core.guard import (
     most_serious,
     outside_box,
 )
-from rig.core.realtime import ARM_PRIORITY, take_priority
+from rig.core.realtime import ARM_NICENESS, take_share
 from rig.core.samples import POSE_LATEST
 from rig.core.shared_memory import AwaitedRecord
 from rig.devices.arm import dashboard
@@ -447,9 +447,7 @@ def run(setup: Setup, pipe: Connection) -> NoReturn:
     # Ctrl-C and a closed terminal reach the whole group; only the parent decides how to react.
     for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    # ur_rtde waits for answers without sleeping: on one core nothing else would run meanwhile.
-    if len(os.sched_getaffinity(0)) > 1:
-        take_priority(ARM_PRIORITY)
+    take_share(ARM_NICENESS)
     # ur_rtde prints to stdout, which the parent uses for its results.
     os.dup2(2, 1)
     code = 1
