@@ -30,7 +30,7 @@ from recorder.processes import Workers
 from sim import plan
 from sim.device import ready_device
 from sim.errors import SceneError, SimulationDiverged
-from sim.indenters import NAMES, named
+from sim.indenters import NAMES, Indenter, named
 from sim.ladder import (
     ANOTHER,
     BARE,
@@ -38,10 +38,11 @@ from sim.ladder import (
     FRICTION,
     PACKAGED,
     ByFem,
-    Fields,
     Ladder,
     LadderPress,
+    Presses,
     cache_folder,
+    interpolated,
     name_of,
     name_of_skin,
     presses_of,
@@ -134,7 +135,7 @@ def package_layer() -> None:
     for row in map(sensor, SKINS):
         arrays: dict[str, Any] = {}
         for name in NAMES:
-            felt = row.scene(named(name), motion_of(row, name, "normal")).indenter
+            felt = felt_by(row, name)
             presses = solved(felt, row.body, BEYOND * row.depth_max)
             arrays |= presses.packed(f"{name_of(felt, row.body)}.")
         np.savez_compressed(PACKAGED / f"{name_of_skin(row.body)}.npz", **arrays)
@@ -162,32 +163,36 @@ def package(presses: dict[str, Row]) -> None:
         for name, table in tables.items():
             if table.error[0] >= ANOTHER:
                 table = replace(table, ratio=middle)
-            felt = row.scene(named(name), motion_of(row, name, "normal")).indenter
-            arrays |= table.packed(name_of(felt, row.body))
+            arrays |= table.packed(name_of(felt_by(row, name), row.body))
         np.savez_compressed(PACKAGED / f"fem-{name_of_skin(row.body)}.npz", **arrays)
 
 
-def bare(row: SimulatedSensor, name: str, by_fem: ByFem) -> Ladder:
-    """Return the ladder of an indenter with other corrections."""
-    felt = row.scene(named(name), motion_of(row, name, "normal")).indenter
-    return Ladder(presses_of(felt, row, cache_folder()), row.body, by_fem)
+def felt_by(row: SimulatedSensor, name: str) -> Indenter:
+    """Return an indenter as a sensor's skin feels it."""
+    return row.scene(named(name), motion_of(row, name, "normal")).indenter
+
+
+def by_layer(row: SimulatedSensor, name: str) -> Presses:
+    """Return the presses of an indenter that its ladder consists of."""
+    return presses_of(felt_by(row, name), row, cache_folder())
 
 
 def moved_by_fem(row: SimulatedSensor, name: str, one: Row) -> Array:
     """Return `ByFem.moved` of a normal press."""
-    ladder, places = bare(row, name, PLAIN), places_of(row, "normal")
-    fields: Fields = ladder.fields
+    ladder, places = Ladder(by_layer(row, name), row.body, PLAIN), places_of(row, "normal")
     moved = []
     for tip, true in zip(one["tip"][1:], one["moved"][1:], strict=True):
-        at, part = ladder.place(depth := -float(tip[2]))
-        own = fields.at((1 - part) * fields.normal[at] + part * fields.normal[at + 1], places)
+        depth = -float(tip[2])
+        field = interpolated(ladder.fields.normal, *ladder.place(depth))
+        own = ladder.fields.at(field, places)
         moved.append((true - own).reshape(PLACES, PLACES, 3) / depth)
     return np.array(moved)
 
 
 def table_of(row: SimulatedSensor, name: str, presses: dict[str, Row], moved: Array) -> ByFem:
     """Return the table of an indenter; the error of one without good presses is `ANOTHER`."""
-    one, ladder = presses[f"{row.name} {name} normal"], bare(row, name, BARE)
+    one, steps = presses[f"{row.name} {name} normal"], by_layer(row, name)
+    ladder = Ladder(steps, row.body, BARE)
     depth, error = -np.asarray(one["tip"], float)[1:, 2], np.asarray(one["error"], float)[1:]
     ratio = -one["wrench"][1:, 2] / [ladder.normal(each) for each in depth]
     good = error < MOST
@@ -201,7 +206,7 @@ def table_of(row: SimulatedSensor, name: str, presses: dict[str, Row], moved: Ar
     true, (low, high) = float(np.hypot(*sheared["wrench"][first, :2])), STIFFNESS
     while high - low > 1e-3:
         side = (low + high) / 2
-        tried = bare(row, name, ByFem(depth, ratio, error, side))
+        tried = Ladder(steps, row.body, ByFem(depth, ratio, error, side))
         *_, own = followed(tried, row, sheared["tip"][: first + 1])
         low, high = (side, high) if np.hypot(*own.wrench[:2]) < true else (low, side)
     return ByFem(depth, ratio, table.error, round((low + high) / 2, 3), moved)

@@ -153,9 +153,7 @@ class ByFem:
         Points are places over half the body's side.
         """
         assert self.moved is not None
-        at = float(np.interp(depth, self.depth, np.arange(len(self.depth))))
-        level = min(int(at), len(self.depth) - 2)
-        field = (1 - at + level) * self.moved[level] + (at - level) * self.moved[level + 1]
+        field = interpolated(self.moved, *_place(self.depth, depth))
         places = np.linspace(-1.0, 1.0, field.shape[0])
         return depth * _bilinear(field, (places, places), np.clip(points, -1.0, 1.0))
 
@@ -227,6 +225,11 @@ class Ladder:
         return np.asarray(np.interp(self._fine_force, self._forces, self._travel))
 
     @cached_property
+    def _last_travel(self) -> float:
+        """Growth of `travel` with the depth beyond the deepest step."""
+        return self._last / float(self._stiffness[-1].mean())
+
+    @cached_property
     def _sides(self) -> list[tuple[Array, Array]]:
         return _sides(self._presses, _skin(self.body))
 
@@ -278,14 +281,12 @@ class Ladder:
 
         Over the coefficient of friction.
         """
-        last = self._last / float(self._stiffness[-1].mean())
-        beyond = last * max(depth - self.depth_max, 0.0)
+        beyond = self._last_travel * max(depth - self.depth_max, 0.0)
         return float(np.interp(depth, self._fine, self._fine_travel)) + beyond
 
     def unit(self, depth: float) -> Array:
         """Return wrench over normal force, then the height of the pressed skin [m] (7,)."""
-        at, part = self.place(depth)
-        return np.asarray((1 - part) * self._units[at] + part * self._units[at + 1])
+        return interpolated(self._units, *self.place(depth))
 
     def on_body(self, tip: Array) -> float:
         """Return the share of the force that the body bears under a tip at (3,) [m].
@@ -303,9 +304,19 @@ class Ladder:
 
     def place(self, depth: float) -> tuple[int, float]:
         """Return the step below `depth` [m] and the fraction of the way to the next one."""
-        at = max(0, min(int(np.searchsorted(self.depths, depth)) - 1, len(self.start) - 1))
-        below, above = self.depths[at : at + 2]
-        return at, min(max((depth - below) / (above - below), 0.0), 1.0)
+        return _place(self.depths, depth)
+
+
+def _place(depths: Array, depth: float) -> tuple[int, float]:
+    """Return the one of some depths [m] below `depth`, and the fraction of the way to the next."""
+    at = max(0, min(int(np.searchsorted(depths, depth)) - 1, len(depths) - 2))
+    below, above = depths[at : at + 2]
+    return at, min(max((depth - below) / (above - below), 0.0), 1.0)
+
+
+def interpolated(values: Array, at: int, part: float) -> Array:
+    """Return the values (n, ...) at a fraction `part` of the way from number `at` to the next."""
+    return np.asarray((1 - part) * values[at] + part * values[at + 1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -506,7 +517,10 @@ class LadderPress:
         self._elastic, self._force = elastic, force
 
     def _passing(self, seconds: float) -> tuple[float, Array, Array]:
-        """Return a time [s], and what branches keep and gain in it (b, 1, 1)."""
+        """Return the time [s], and two factors of each branch over it (b, 1, 1).
+
+        They are the fraction of its force that is left, and that of an elastic change it gains.
+        """
         spans = (seconds / self._times)[:, None, None]
         ratios, whole = self._ratios[:, None, None], np.ones_like(spans)
         gained = np.divide(-np.expm1(-spans), spans, out=whole, where=spans > 0)
@@ -538,12 +552,13 @@ class LadderPress:
         if not self._elastic.any():
             return np.zeros((len(points), 3), np.float32)
         ladder, fields = self._ladder, self._ladder.fields
-        at, part = ladder.place(self._dent)
-        field = (1 - part) * fields.normal[at] + part * fields.normal[at + 1]
+        dent = self._dent
+        place = ladder.place(dent)
+        field = interpolated(fields.normal, *place)
         pressed = self._force[:, 2]
         slipped = float(pressed @ self._slipped) / max(float(pressed.sum()), 1e-30)
         if slipped:
-            field -= slipped * ((1 - part) * fields.rubbed[at] + part * fields.rubbed[at + 1])
+            field -= slipped * interpolated(fields.rubbed, *place)
         sheared = self._elastic[:, :2] / ladder.sideways
         field += np.tensordot(sheared.astype(np.float32), fields.sideways, 2)
         centre = self.tip[:2] - self.shear
@@ -552,7 +567,7 @@ class LadderPress:
         if ladder.by_fem.moved is not None:
             # From the contact's middle to each wall as from the body's.
             wall = np.where(aside < 0, -0.5, 0.5) * (ladder.body.size_x, ladder.body.size_y)
-            moved += ladder.by_fem.moves(self._dent, aside / np.abs(wall - centre))
+            moved += ladder.by_fem.moves(dent, aside / np.abs(wall - centre))
         return moved
 
     @property

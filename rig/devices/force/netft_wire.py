@@ -138,7 +138,7 @@ def parse_request(packet: bytes) -> tuple[int, int] | None:
     return (command, samples) if header == HEADER else None
 
 
-# Field of a `Page` by its tag, and what reads it.
+# Fields of a `Page` by their tags, each with its parser.
 _TAGS: dict[str, tuple[str, Callable[[str], Any]]] = {
     "prodname": ("product", str),
     "calsn": ("serial", str),
