@@ -220,18 +220,27 @@ def edge_errors(result: Result) -> Array:
 
 
 def time_share(result: Result) -> Array:
-    """Return the error by steps in time and by waves of each frame (F,), over the force.
+    """Return the error by steps in time and by waves of each frame (F,), over the force."""
+    return steps_share(result) + waves_share(result)
+
+
+def steps_share(result: Result) -> Array:
+    """Return the error by steps in time of each frame (F,), over the force."""
+    return np.array(
+        result.record["time"]["force"] if "time" in result.record else 0.0 * result.force[:, 0]
+    )
+
+
+def waves_share(result: Result) -> Array:
+    """Return the estimated error by waves of each frame (F,), over the force.
 
     Waves are damped as if stresses were those of a moment earlier or later
     (`sim.fem.assembly.damping_time`): by how much shows in the frames around. A force that begins
     at once is too large for about as long.
     """
-    fraction, record = np.zeros(len(result.force)), result.record
-    if "time" in record:
-        fraction = np.array(record["time"]["force"])
-    damped = record.get("mesh", {}).get("damped", 0.0)
-    if not damped or len(fraction) < 2:
-        return fraction
+    damped = result.record.get("mesh", {}).get("damped", 0.0)
+    if not damped or len(result.force) < 2:
+        return np.zeros(len(result.force))
     time, felt = np.array(result.scene.motion.time), np.asarray(result.force.any(axis=1))
     rate = np.abs(np.diff(result.force, axis=0)).max(axis=1) / np.diff(time)
     reach, going_on = WAVE_REACH * damped, np.append(felt[2:], False)
@@ -242,7 +251,7 @@ def time_share(result: Result) -> Array:
     since = time - np.append(-np.inf, began)
     impact = IMPACT * np.exp(-since / (IMPACT_LASTS * damped))
     waves = PER_DAMPING * damped * fastest / force_scale(result.force)
-    return np.asarray(fraction + waves + impact * felt)
+    return np.asarray(waves + impact * felt)
 
 
 def further_errors(result: Result) -> Array:

@@ -37,9 +37,10 @@ from sim.error_estimate import (
     further_errors,
     pixel_of,
     side_distance,
-    time_share,
+    steps_share,
     touched_edge,
     vanishing_share,
+    waves_share,
     with_rounding,
     with_symmetry,
 )
@@ -86,7 +87,8 @@ STATES, STATES_MOST = 0.01, 3e-4
 UNBALANCED = 10.0
 # Error of markers over the remaining difference of both meshes.
 MARKERS = 1.5
-# Required elements over allowed ones above which a tolerance is not tried further.
+# Required elements over allowed ones above which a tolerance is not tried further, unless there is
+# a time for it.
 HOPELESS = 8.0
 # Most meshes whose error is measured, and that if the time is limited.
 ROUNDS, QUICK_ROUNDS = 4, 12
@@ -98,8 +100,10 @@ WHOLLY = 0.97
 IN_TIME = 1 / 3
 # Fraction of a limited time in which those steps are chosen, and their error if there is none.
 CHOOSING, UNCHOSEN = 0.5, 0.3
-# Fineness of the first mesh if the time is limited: a second or two on one core.
-QUICK = 0.15
+# Fineness of the first mesh if the time is limited: a second or two on one core. A GPU takes about
+# as long for a finer one, which has a state more often where skin folds at an edge; a coarser one
+# follows if that takes more than `FIRST` of the time, or has none.
+QUICK, FIRST = {"cpu": (0.15,), "cuda": (0.375, 0.15)}, 0.5
 # Power of the fineness by which the time of a mesh grows: on a core about with the elements and
 # steps, on a GPU with launches. Fraction of the time left that a mesh may take by it; and
 # the least fineness that fits, over the last one, with which a finer mesh is tried all the same.
@@ -245,6 +249,7 @@ class _Search:
     ) -> None:
         self._scene, self._wanted = scene, wanted
         self._device, self._progress, self._tried = device, progress, tried
+        self._quick = QUICK[kind_of(device)]
         self.until = math.inf if seconds is None else time.monotonic() + seconds
         """Time of `time.monotonic` at which the search ends."""
         self.best: tuple[float, Result, list[Fem], int | None] | None = None
@@ -270,13 +275,15 @@ class _Search:
         if moves:
             states = replace(states, step_factor=1)
         if self.until < math.inf:  # an answer before steps in time are chosen, which takes longer
-            solved = self._solve(chain, replace(states, fineness=QUICK))
+            chain, solved = self._begun(
+                chain.steps, states, self._quick[-1:] if moves else self._quick
+            )
         steps = self._in_time(states)
         if steps is not None and steps.factor > 1:
             states = replace(states, step_factor=steps.factor)
             chain = _Chain(self._scene, steps, self._device)
             if self.until < math.inf:
-                solved = self._solve(chain, replace(states, fineness=QUICK))
+                chain, solved = self._begun(steps, states, self._quick)
         chain.steps = steps
         for _round in range(ROUNDS if self.until == math.inf else QUICK_ROUNDS):
             affordable = self._affordable()
@@ -303,10 +310,30 @@ class _Search:
                 return None
             finer = (error / self._wanted.value) ** 0.5 * 1.05
             elements = chain.results[-1].record["mesh"]["elements"] * finer**3
-            if limited or elements > HOPELESS * ELEMENTS_MAX[kind_of(self._device)]:
+            hopeless = elements > HOPELESS * ELEMENTS_MAX[kind_of(self._device)]
+            if limited or (hopeless and self.until == math.inf):
                 return None
             fineness *= float(np.clip(finer, FINER_LEAST, FINER_MOST))
         return None
+
+    def _begun(
+        self, steps: TimeSteps | None, states: Fem, quick: Sequence[float]
+    ) -> tuple[_Chain, float]:
+        """Return the first mesh of a limited time, of the first fineness that it is enough for."""
+        from sim.fem.stepping import OutOfTime, limited
+
+        for fineness in quick[:-1]:
+            chain, now = _Chain(self._scene, steps, self._device), time.monotonic()
+            try:
+                with limited(now + FIRST * (self.until - now)):
+                    return chain, self._solve(chain, replace(states, fineness=fineness))
+            except OutOfTime:
+                self._tried.append(f"fineness {fineness:g}: out of its part of the time")
+            except SimulationDiverged as diverged:
+                diverged.forget_dump()
+                self._tried.append(f"fineness {fineness:g}: {diverged.reason}")
+        chain = _Chain(self._scene, steps, self._device)
+        return chain, self._solve(chain, replace(states, fineness=quick[-1]))
 
     def _solve(self, chain: _Chain, numerics: Fem) -> float:
         """Solve on the next mesh, an answer if the time is limited; return its fineness."""
@@ -325,7 +352,7 @@ class _Search:
         wanted = self._wanted
         sought = IN_TIME * (wanted.value if wanted.kind == "fraction" else 0.01)
         now = time.monotonic()
-        fineness = FINENESS if self.until == math.inf else QUICK
+        fineness = FINENESS if self.until == math.inf else self._quick[-1]
         try:
             with limited(now + CHOOSING * (self.until - now)):
                 free = replace(states, step_factor=None)
@@ -536,9 +563,10 @@ def extrapolated(
     scale = force_scale(result.force)
     apart = np.abs(fine.force - coarse.force).max(axis=1)
     unsure = np.maximum(_most_of_difference(coarse, fine) * apart, edge_errors(fine) * size)
-    newton = np.maximum(unsure, vanishing_share(result) * scale)
+    unsure, waves = _with_waves(coarse, fine, unsure / scale, apart / scale)
+    newton = np.maximum(unsure, vanishing_share(result)) * scale
     further = further_errors(result)
-    newton = newton + further * size + time_share(fine) * scale
+    newton = newton + further * size + (steps_share(fine) + waves) * scale
     fraction = np.maximum(newton / scale, floor * (size > 0))
     moved = marker_errors(outcome_of(fine), outcome_of(coarse), fine.scene.body)
     pixels = MARKERS * left * float(np.sqrt(np.mean(moved**2, axis=1)).max(initial=0.0))
@@ -554,6 +582,25 @@ def extrapolated(
     )
     value = {"fraction": error["percent"] / 100, "force": error["newton"], "marker": pixels}
     return replace(result, record={**result.record, "error": error}), float(value[wanted.kind])
+
+
+def _with_waves(coarse: Result, fine: Result, unsure: Array, apart: Array) -> tuple[Array, Array]:
+    """Return the error of meshes with that by waves, and of waves what is estimated (F,).
+
+    Waves are damped over a time that falls with the elements' length. Where both meshes' times
+    differ, so do the forces: `apart`, over the force, as `unsure`, the error of meshes. What an
+    error of order 1 leaves of the largest difference is the largest error by waves, and in other
+    frames in proportion to their estimates.
+    """
+    waves = waves_share(fine)
+    longer, shorter = (one.record["mesh"].get("damped", 0.0) for one in (coarse, fine))
+    if not waves.any() or longer < RATIO_LEAST * shorter:
+        return unsure, waves
+    near = np.pad(apart / (longer / shorter - 1.0), 1)
+    # Of two swings that are not in step, a frame may see the moment at which they are equal.
+    measured = np.maximum(near[1:-1], np.maximum(near[:-2], near[2:]) / 2)
+    measured = np.maximum(measured, waves * measured.max() / waves.max())
+    return np.maximum(unsure, np.minimum(measured, waves)), np.zeros(len(waves))
 
 
 def left_of_difference(ratio: float) -> float:

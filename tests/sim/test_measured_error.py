@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sim import plan, simulate, tolerance
+from sim.error_estimate import waves_share
 from sim.fem import Fem
 from sim.indenters import sphere
 from sim.metrics import tolerance_of
@@ -38,6 +39,25 @@ def test_an_error_that_falls_as_the_square_is_taken_off_whole(truth: Result, rat
     np.testing.assert_array_equal(both.surface, fine.surface)
     assert error == pytest.approx(0.02, rel=1e-6)
     assert both.record["error"]["second_mesh"] == coarse.record["mesh"]
+
+
+def test_forces_by_damped_waves_are_within_the_error_that_two_meshes_tell(truth: Result) -> None:
+    """Stress that is damped over a time adds this time by its rate to a force, of order 1."""
+    ratio, added = 1.6, 0.05
+    motion = press([0.3e-3, 0.6e-3], speed=1.0)
+    truth = replace(truth, scene=replace(truth.scene, motion=motion))
+
+    def mesh(length: float) -> Result:
+        mesh = truth.record["mesh"]
+        cells = [n / length for n in mesh["cells"]]
+        damped = {**mesh, "cells": cells, "damped": 1e-4 * length}
+        record = {**truth.record, "mesh": damped}
+        return replace(truth, wrench=truth.wrench * (1 + added * length), record=record)
+
+    both, error = tolerance.extrapolated(mesh(ratio), mesh(1.0), tolerance_of("5 %"), floor=1e-3)
+    left = float((both.force[1:, 2] / truth.force[1:, 2] - 1).max())
+    assert left < error < 2 * left
+    assert error < 0.5 * waves_share(mesh(1.0)).max()
 
 
 def test_a_tolerance_is_kept(truth: Result) -> None:

@@ -16,6 +16,7 @@ from sim.fem import Fem, matrix, solver
 from sim.fem.in_time import time_steps
 from sim.fem.sizing import Sizes, Span
 from sim.fem.solver import Required, simulate_fem
+from sim.fem.stepping import OutOfTime
 from sim.indenters import sphere
 from sim.result import Outcome, Result
 from sim.scene import Viscosity, beginning_of
@@ -137,6 +138,31 @@ def test_within_a_time_the_best_answer_is_given_and_its_plan_replays_it(
         plan(BALL, "0.5 %", seconds=0)
     with pytest.raises(SceneError, match="without a plan"):
         replay(simulate(BALL, Layer()))
+
+
+def test_a_first_mesh_that_takes_too_long_or_has_no_state_is_followed_by_a_coarser_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    begin = [0.3, 0.2, 0.15]
+
+    def simulate(scenes: list[Scene], numerics: Fem, **how: Any) -> list[Outcome]:
+        if numerics.fineness == begin[0]:
+            raise OutOfTime
+        if numerics.fineness == begin[1]:
+            return [SimulationDiverged("lost")]
+        return simulate_fem(scenes, numerics, **how)
+
+    monkeypatch.setattr(solver, "simulate_fem", simulate)
+    monkeypatch.setitem(module.QUICK, "cpu", tuple(begin))
+    monkeypatch.setattr(module._Search, "_affordable", lambda _search: 0.0)
+    result = plan(BALL, "0.5 %", seconds=1e3, only="fem").run()
+    entry = result.record["plan"]
+    assert entry["tried"][:2] == [
+        "fineness 0.3: out of its part of the time",
+        "fineness 0.2: lost",
+    ]
+    assert result.record["mesh"]["fineness"] == pytest.approx(begin[2])
+    np.testing.assert_array_equal(replay(result).wrench, result.wrench)
 
 
 def test_meshes_that_follow_their_contacts_may_have_one_topology() -> None:

@@ -29,8 +29,9 @@ TIGHT = ((1600.0, 4), (12_800.0, 10))
 # Largest overlap, over the depth, and the error of a force over it.
 OVERLAP, PER_OVERLAP = 1e-3, 2.0
 # Elements of the coarser mesh over those of the finer one, and the range of the coarser one's
-# fineness: that of the answer, if within.
-FINER, COARSEST, FINEST = 1.4, 0.45, 1.2
+# fineness: that of the answer, if within. With inertia meshes damp waves over a time that falls
+# with their elements, so that they are finer.
+FINER, COARSEST, FINEST, FINEST_OF_WAVES = 1.4, 0.45, 1.2, 2.0
 # Most elements of the finer mesh.
 ELEMENTS_MAX = {"cpu": 200_000, "cuda": 2_000_000}
 # Number of steps, over those of the answer: with inertia or viscosity, and with friction alone.
@@ -76,7 +77,8 @@ def _by_refining(scene: Scene, fineness: float, factor: int, device: str) -> Ref
     effects = scene.effects
     in_time = effects.viscosity is not None or effects.inertia is not None
     times = IN_TIME if in_time else ALONG if effects.friction is not None else 1
-    fineness = float(np.clip(fineness, COARSEST, FINEST))
+    finest = FINEST if effects.inertia is None else FINEST_OF_WAVES
+    fineness = float(np.clip(fineness, COARSEST, finest))
     for penalty, augmentations in TIGHT:
         numerics = Fem(
             fineness=fineness,
@@ -96,8 +98,12 @@ def _by_refining(scene: Scene, fineness: float, factor: int, device: str) -> Ref
         raise NoReference("it touches the side wall of a round body, which no mesh resolves")
     if broken := silent_laws(fine):
         raise NoReference(f"its finest solution breaks laws of mechanics: {', '.join(broken)}")
-    meshes = (fine.force - coarse.force) * left_of_difference(ratio)
-    force, unsure = fine.force + meshes, np.abs(meshes).max(axis=1) / 2
+    apart = fine.force - coarse.force
+    meshes = apart * left_of_difference(ratio)
+    # Half of the correction; with inertia at least half of what an error of order 1 would add.
+    first = 0.0 if effects.inertia is None else 1 / (ratio - 1) - left_of_difference(ratio)
+    left = max(left_of_difference(ratio), first) / 2
+    force, unsure = fine.force + meshes, left * np.abs(apart).max(axis=1)
     if times > 1:
         small = _solved(scene, replace(numerics, step_factor=times * factor), device)
         change = small.force - coarse.force
