@@ -67,6 +67,9 @@ PER_DAMPING, WAVE_REACH = 2.5, 2.0
 # Error of a force just after an impact; how long it lasts, over the time of damping. With all four,
 # errors cover those of a plate that hits a layer, but when a wave returns to it, up to twice them.
 IMPACT, IMPACT_LASTS = 0.4, 1.3
+# Largest stated error. A force that is small beside the others of a press may be off by more than
+# itself, as one that a wave brings early or late.
+ERROR_MOST = 10.0
 # Height of a dome's rim over the thickness below which it does not behave like a layer.
 RIM_UNEVEN = 0.5
 
@@ -101,7 +104,7 @@ def with_rounding(result: Result) -> Result:
         return result
     depth = -np.asarray(result.scene.motion.tip)[:, 2]
     rounding = _weighed(result, PER_ROUNDING * _rounded_off(indenter, depth))
-    force = np.minimum(np.array(error["force"]) + rounding, 1.0)
+    force = np.minimum(np.array(error["force"]) + rounding, ERROR_MOST)
     error = {
         **error,
         "percent": float(100 * force.max(initial=0.0)),
@@ -350,7 +353,7 @@ def error_entry(
     The status is `measured` or `estimated`, the error of the force of each frame (F,) a fraction of
     the force; `by` names the method in words.
     """
-    fraction = np.minimum(np.maximum(fraction, vanishing_share(result)), 1.0)
+    fraction = np.minimum(np.maximum(fraction, vanishing_share(result)), ERROR_MOST)
     return {
         "status": status,
         "by": by,
