@@ -185,6 +185,8 @@ def _of_elements(result: Result) -> dict[str, Any]:
     by_edge = edge_errors(result)
     # Each is the most of an error that does not depend on the others.
     fraction = np.sqrt(resolved**2 + squeezed**2 + by_edge**2 + further_errors(result) ** 2)
+    # A contact smaller than an element has a force, but no width.
+    fraction[np.isinf(fineness) & result.force.any(axis=1)] = 1.0
     fraction = _weighed(result, fraction) + time_share(result)
     pressed = np.array([point[2] < 0 for point in result.scene.motion.tip])
     by = "how finely the contact is meshed" + (", and steps in time" * ("time" in result.record))
