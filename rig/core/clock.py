@@ -57,14 +57,15 @@ class FakeClock:
 class Pacer:
     """Ticks at `rate_hz` from a fixed origin; late ticks are counted and skipped, not caught up.
 
-    The deadlines are origin + k / rate_hz in whole nanoseconds, so no drift accumulates.
+    The deadlines are origin + k / rate_hz in whole nanoseconds, so no drift accumulates. The last
+    `behind` late ticks are not skipped, but follow each other without a wait.
     """
 
-    def __init__(self, clock: Clock, rate_hz: float) -> None:
+    def __init__(self, clock: Clock, rate_hz: float, behind: int = 0) -> None:
         if not rate_hz > 0:
             raise ValueError(f"rate_hz: {rate_hz!r}; allowed: above 0 Hz")
         self._clock = clock
-        self._rate_hz = rate_hz
+        self._rate_hz, self._behind = rate_hz, behind
         self._origin_ns = clock.now_ns()
         self._tick = 0
         self.missed = 0
@@ -79,7 +80,7 @@ class Pacer:
     def wait(self) -> int:
         """Sleep until the next tick still ahead and return its deadline [ns]."""
         elapsed_ns = self._clock.now_ns() - self._origin_ns
-        due = max(self._tick + 1, int(elapsed_ns * self._rate_hz // SECOND_NS))
+        due = max(self._tick + 1, int(elapsed_ns * self._rate_hz // SECOND_NS) - self._behind)
         self.late = due - self._tick - 1
         self.missed += self.late
         self._tick = due

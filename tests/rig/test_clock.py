@@ -45,6 +45,14 @@ def test_a_long_pause_is_no_reason_for_a_burst(rate_hz: float) -> None:
     assert pacer.wait() - late == pytest.approx(period_ns, abs=2)
 
 
+def test_the_last_ticks_that_a_driver_keeps_follow_each_other_after_a_pause() -> None:
+    clock = FakeClock()
+    pacer = Pacer(clock, 10.0, behind=2)
+    clock.advance(0.75)
+    assert [pacer.wait() * 10 // SECOND_NS for _ in range(4)] == [5, 6, 7, 8]
+    assert pacer.missed == 4
+
+
 def test_a_rate_of_nothing_is_refused() -> None:
     for rate_hz in (0.0, -1.0, float("nan")):
         with pytest.raises(ValueError, match="rate_hz"):

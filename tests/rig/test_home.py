@@ -59,15 +59,19 @@ def test_the_onset_is_found_whatever_presses_on_whatever_relaxes(
 ) -> None:
     spec = _bench(sensor).world
     assert spec is not None
-    inside, errors = 0, []
+    inside, errors, onsets = 0, [], []
     for seed in range(4):
         onset = find_onset(*_approach(spec, indenter, seed, surface=0.2e-3, noise=0.003))
         assert onset is not None
         errors.append(onset.z - 0.2e-3)
         # The interval is that of one approach; `combine` adds 3 um for timing.
-        inside += onset.interval[0] - 3e-6 <= 0.2e-3 <= onset.interval[1] + 3e-6
+        low, high = combine([onset]).interval
+        inside += low - 3e-6 <= 0.2e-3 <= high + 3e-6
+        onsets.append(onset)
     assert np.abs(errors).max() < 25e-6
     assert inside >= 3
+    low, high = combine(onsets).interval
+    assert low <= 0.2e-3 <= high
 
 
 def test_noise_alone_is_no_contact_and_values_that_are_no_numbers_are_refused() -> None:

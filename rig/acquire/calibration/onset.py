@@ -44,13 +44,15 @@ class Onset:
     z: float
     """Height of first contact in the frame of the input [m]."""
     interval: tuple[float, float]
-    """95 % profile-likelihood interval of `z`, and the error of the model's shape [m]."""
+    """95 % profile-likelihood interval of `z` [m]."""
     power: float
     """Exponent of the force's increase."""
     force: float
     """Largest force of the approach above its zero [N]."""
     noise: float
     """Standard deviation of a force sample about the model [N]."""
+    shape: float = 0.0
+    """Error of the model's shape, which all approaches share [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,18 +131,17 @@ def find_onset(z: Floats, force: Floats) -> Onset | None:
     if not (gained > 50 * variance and rise > 3 * np.sqrt(variance)):
         return None
     limit = float(cost[best]) + _CHI2_95 * variance * _inflation(residual)
-    low, high = _interval(z, force, height, limit, top - bottom)
-    shape = _SHAPE * (height - bottom)
-    interval = low - shape, high + shape
+    interval = _interval(z, force, height, limit, top - bottom)
     noise = float(np.sqrt(variance))
-    return Onset(height, interval, exponent, rise, noise)
+    return Onset(height, interval, exponent, rise, noise, _SHAPE * (height - bottom))
 
 
 def combine(onsets: Sequence[Onset]) -> Surface:
     """Combine repeated approaches: the mean of their heights, with an interval.
 
     The half-width is the larger of Student's t times the standard error between approaches, and
-    the root mean square half-width of the single intervals divided by the root of their number.
+    the root mean square half-width of the single intervals divided by the root of their number;
+    added is the error of the model's shape, which more approaches do not reduce.
     """
     if not onsets:
         raise ValueError("onsets: found none; allowed: at least one")
@@ -149,11 +150,13 @@ def combine(onsets: Sequence[Onset]) -> Surface:
     count = len(onsets)
     mean = float(heights.mean())
     within = float(np.sqrt(np.mean(halves**2) / count))
+    shape = float(np.mean([onset.shape for onset in onsets]))
     if count == 1:
-        return Surface(mean, onsets[0].interval, float("nan"))
+        low, high = onsets[0].interval
+        return Surface(mean, (low - shape, high + shape), float("nan"))
     spread = float(heights.std(ddof=1))
     across = student_t(count - 1) * spread / np.sqrt(count)
-    half = float(np.hypot(max(within, float(across)), _TIMING))
+    half = float(np.hypot(max(within, float(across)), _TIMING)) + shape
     return Surface(mean, (mean - half, mean + half), spread)
 
 

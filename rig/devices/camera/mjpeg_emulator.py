@@ -5,9 +5,10 @@
 
 Each JPEG has a comment after SOI, `tactile-rig emulator seq=<n> state_t_ns=<t>`: its number, and
 the time of the World's state it shows (of the tick, if it shows no World). A slow client gets the
-newest frame when it is ready for one; the numbers in between are skipped, never queued. Faults are
-injected through rig.core.fault_injection; `wrong_units` halves the frame size. `lens` sets `gain`,
-the brightness by the exposure, and `blur` of a lens out of focus [px]; by default 1 and 0.
+last four frames when it is ready for one, as from a driver's buffers; those before are skipped,
+never queued. Faults are injected through rig.core.fault_injection; `wrong_units` halves the frame
+size. `lens` sets `gain`, the brightness by the exposure, and `blur` of a lens out of focus [px]; by
+default 1 and 0.
 
 OpenCV reads one frame to open the stream and drops it, and the driver checks a second one before
 it records. Of a recorded session both get the first picture; then the recorded files are sent
@@ -182,6 +183,8 @@ def _serves_as_it_is(content: bytes) -> bool:
 _STILL = 2.0
 # About two frames, so that a slow client does not find old ones waiting.
 _SEND_BUFFER = 1 << 17
+# Frames that a camera's driver keeps for a computer that is late: they come later, but all do.
+_BUFFERS = 4
 # Rows of a recording under way; the driver keeps 120 frames for a late recorder.
 _WINDOW = 32
 # Frames that a driver needs to open.
@@ -225,9 +228,9 @@ class MjpegEmulator(Emulator):
         self._no_contact = SharedWorld(None).state()[1]
         self._clock = clock
         self.frames = Newest[bytes](
-            2 * _WINDOW if isinstance(source, Playback) else 1, self._ending
+            2 * _WINDOW if isinstance(source, Playback) else _BUFFERS, self._ending
         )
-        """Frames for the clients: of a World only the newest."""
+        """Frames for the clients."""
         self.lead_in = b""
         """Sent to a new client before those."""
         if isinstance(source, Playback):
@@ -276,7 +279,7 @@ class MjpegEmulator(Emulator):
             self._server.disconnect_all()
 
     def _film(self, source: FrameSource) -> None:
-        pacer = Pacer(self._clock, self._config.device.rate_hz)
+        pacer = Pacer(self._clock, self._config.device.rate_hz, behind=_BUFFERS)
         delay_ns = round(self._config.delay * SECOND_NS)
         filmed = 0
         while not self._ending.is_set():
