@@ -33,6 +33,7 @@ from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import NAMES, Indenter, named
 from sim.ladder import (
     ANOTHER,
+    APART,
     BARE,
     BEYOND,
     FRICTION,
@@ -74,6 +75,8 @@ PLAIN = replace(BARE, moved=np.zeros((1, 2, 2, 3)))
 MOVES, PIXEL, FORCE = 0.2, 5e-5, 0.05
 # Range of a tangential stiffness over that of the ladder.
 STIFFNESS = 0.6, 1.6
+# Stated error of sheared presses to which `ByFem.shear` is fitted, and weight of small parts.
+CERTAIN, SMALL = 0.05, 1e-4
 
 
 def motion_of(row: SimulatedSensor, name: str, kind: str) -> Motion:
@@ -164,6 +167,8 @@ def package(presses: dict[str, Row]) -> None:
             if table.error[0] >= ANOTHER:
                 table = replace(table, ratio=middle)
             arrays |= table.packed(name_of(felt_by(row, name), row.body))
+        ladders = {name: Ladder(by_layer(row, name), row.body, tables[name]) for name in NAMES}
+        arrays["shear"] = fitted(dragged(row, ladders, presses))
         np.savez_compressed(PACKAGED / f"fem-{name_of_skin(row.body)}.npz", **arrays)
 
 
@@ -224,17 +229,61 @@ def followed(ladder: Ladder, row: SimulatedSensor, tips: Array) -> Iterator[Ladd
         yield own
 
 
+def dragged(
+    row: SimulatedSensor, ladders: dict[str, Ladder], presses: dict[str, Row]
+) -> dict[str, tuple[Array, Array]]:
+    """Return what parts of `ByFem.shear` add in sheared presses (n, 21), and what is missing."""
+    equations = {}
+    for name, ladder in ladders.items():
+        one = presses.get(f"{row.name} {name} sheared", {})
+        if "moved" not in one or one["error"].max() > CERTAIN:
+            continue
+        places, by_fem, added, wanted = places_of(row, "sheared"), ladder.by_fem, [], []
+        parts = np.eye(3 * len(APART)).reshape(-1, 3, len(APART))
+        for k, own in enumerate(followed(ladder, row, one["tip"][: 2 * FRAMES + 1])):
+            moved = []
+            for part in (None, *parts) if k > FRAMES else ():
+                ladder.by_fem = replace(by_fem, shear=part)
+                moved.append(own.markers(places)[:, :2].ravel())
+            if moved:
+                added.append(np.stack(moved[1:], axis=1) - moved[0][:, None])
+                wanted.append(one["moved"][k][:, :2].ravel() - moved[0])
+        equations[name] = np.concatenate(added), np.concatenate(wanted)
+    return equations
+
+
+def fitted(equations: dict[str, tuple[Array, Array]], without: str = "") -> Array:
+    """Return `ByFem.shear` of all indenters but one."""
+    some = [both for name, both in equations.items() if name != without]
+    added, wanted = (np.concatenate(one) for one in zip(*some, strict=True))
+    squares = added.T @ added
+    squares += SMALL * np.trace(squares) / len(squares) * np.eye(len(squares))
+    parts: Array = np.linalg.solve(squares, added.T @ wanted)
+    return parts.reshape(3, -1)
+
+
 def compare(presses: dict[str, Row]) -> None:
-    """Print how far ladders are off in sheared presses, as on the page of fidelity [%]."""
+    """Print how far ladders are off in sheared presses, as on the page of fidelity [%].
+
+    What shear adds to markers is fitted to the other indenters.
+    """
+    skins = {name_of_skin(row.body): row for row in map(sensor, SKINS)}
+    equations = {
+        skin: dragged(row, {name: Ladder.of(name, row) for name in NAMES}, presses)
+        for skin, row in skins.items()
+    }
     for key, one in sorted(presses.items()):
         of, name, kind = key.split()
         row, wrenches = sensor(of), one["wrench"]
         if kind != "sheared" or "moved" not in one:
             continue
+        ladder = Ladder.of(name, row)
+        others = fitted(equations[name_of_skin(row.body)], without=name)
+        ladder.by_fem = replace(ladder.by_fem, shear=others)
         places, friction = places_of(row, kind), row.effects.friction
         limit = -(friction.coefficient if friction else FRICTION) * wrenches[:, 2]
         least = MOVES * (getattr(row.signal, "scale", None) or PIXEL)
-        path = followed(Ladder.of(name, row), row, one["tip"])
+        path = followed(ladder, row, one["tip"])
         force, side, off, size = [], [], np.zeros(len(wrenches)), np.zeros(len(wrenches))
         for k, (own, wrench, moved) in enumerate(zip(path, wrenches, one["moved"], strict=False)):
             if wrench[2] > FORCE * wrenches[:, 2].min():

@@ -66,6 +66,8 @@ STRETCHED = 0.15
 # Ladders that come with the simulator, and `fem` against them: two files per skin.
 PACKAGED = Path(__file__).parent / "ladders"
 NUMBERS = "depth", "ratio", "error", "side"
+# Distances from a contact's middle, over that of the wall, at which `ByFem.shear` is known.
+APART = np.array([0.0, 0.15, 0.3, 0.45, 0.6, 0.8, 1.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,15 +125,16 @@ class ByFem:
     moved: Array | None = None
     """Displacement of the top by `fem` less that by the presses, over the depth (k, m, m, 3), at
     places evenly spaced across the body; None: unknown."""
+    shear: Array | None = None
+    """The same in shear, over the shear s, for all indenters of a skin: along s, along (s e) e and
+    along |s| e at `APART`, where e points away from the middle (3, 7); None: unknown."""
 
     @classmethod
     def read(cls, file: Mapping[str, Any], key: str, *, whole: bool = True) -> Self:
         """Return what `packed` has written; `moved` only if `whole`."""
         depth, ratio, error, side = (file[f"{key}.{name}"] for name in NUMBERS)
-        if not whole:
-            return cls(depth, ratio, error, float(side))
-        moved = file[f"{key}.levels"] * file[f"{key}.unit"]
-        return cls(depth, ratio, error, float(side), moved)
+        moved = file[f"{key}.levels"] * file[f"{key}.unit"] if whole else None
+        return cls(depth, ratio, error, float(side), moved, file["shear"])
 
     def packed(self, key: str) -> dict[str, Any]:
         """Return arrays for a file; displacements have 8 bits."""
@@ -156,6 +159,15 @@ class ByFem:
         field = interpolated(self.moved, *_place(self.depth, depth))
         places = np.linspace(-1.0, 1.0, field.shape[0])
         return depth * _bilinear(field, (places, places), np.clip(points, -1.0, 1.0))
+
+    def drags(self, shear: Array, points: Array) -> Array:
+        """Return how `fem` moves points (p, 2) more in `shear` (2,) [m] (p, 2) [m]."""
+        assert self.shear is not None
+        apart = np.linalg.norm(points, axis=1)
+        away = points / np.maximum(apart, 1e-9)[:, None]
+        along, turned, out = (np.interp(apart, APART, part)[:, None] for part in self.shear)
+        turned = turned * (away @ shear)[:, None]
+        return np.asarray(along * shear + (turned + out * np.linalg.norm(shear)) * away)
 
 
 # Nothing added.
@@ -564,10 +576,14 @@ class LadderPress:
         centre = self.tip[:2] - self.shear
         aside = np.asarray(points, float) - centre
         moved = fields.at(field, aside)
+        # Beside the contact as in the body's middle, and towards each wall as towards that.
+        half = np.array([ladder.body.size_x, ladder.body.size_y]) / 2
+        apart = aside / np.abs(np.where(aside < 0, -half, half) - centre)
         if ladder.by_fem.moved is not None:
-            # From the contact's middle to each wall as from the body's.
-            wall = np.where(aside < 0, -0.5, 0.5) * (ladder.body.size_x, ladder.body.size_y)
-            moved += ladder.by_fem.moves(dent, aside / np.abs(wall - centre))
+            part = np.abs(apart)
+            moved += ladder.by_fem.moves(dent, (1 - part) * aside / half + part * apart)
+        if ladder.by_fem.shear is not None:
+            moved[:, :2] += ladder.by_fem.drags(self.shear, apart)
         return moved
 
     @property
@@ -665,7 +681,8 @@ def fem_of(key: str, body: Body) -> ByFem:
     depth = max((one.depth for one in others), key=lambda depth: float(depth[-1]))
     ratios = np.stack([np.interp(depth, one.depth, one.ratio) for one in others])
     middle = np.median(ratios, axis=0)
-    return ByFem(depth, middle, np.maximum(np.abs(ratios / middle - 1).max(axis=0), ANOTHER))
+    error = np.maximum(np.abs(ratios / middle - 1).max(axis=0), ANOTHER)
+    return replace(others[0], depth=depth, ratio=middle, error=error, side=1.0)
 
 
 def _growing(stiffness: Array) -> Array:
