@@ -126,8 +126,9 @@ class ByFem:
     """Displacement of the top by `fem` less that by the presses, over the depth (k, m, m, 3), at
     places evenly spaced across the body; None: unknown."""
     shear: Array | None = None
-    """The same in shear, over the shear s, for all indenters of a skin: along s, along (s e) e and
-    along |s| e at `APART`, where e points away from the middle (3, 7); None: unknown."""
+    """The same in shear, for all indenters of a skin, over s, the side force over modulus and
+    thickness: along s, along (s e) e and along |s| e, where e points away from the middle (3, 7), at
+    distances `APART`; None: unknown."""
 
     @classmethod
     def read(cls, file: Mapping[str, Any], key: str, *, whole: bool = True) -> Self:
@@ -160,14 +161,17 @@ class ByFem:
         places = np.linspace(-1.0, 1.0, field.shape[0])
         return depth * _bilinear(field, (places, places), np.clip(points, -1.0, 1.0))
 
-    def drags(self, shear: Array, points: Array) -> Array:
-        """Return how `fem` moves points (p, 2) more in `shear` (2,) [m] (p, 2) [m]."""
+    def drags(self, side: Array, points: Array) -> Array:
+        """Return how `fem` moves points (p, 2) more under a side force (p, 2) [m].
+
+        `side` is the force over modulus and thickness (2,) [m].
+        """
         assert self.shear is not None
         apart = np.linalg.norm(points, axis=1)
         away = points / np.maximum(apart, 1e-9)[:, None]
         along, turned, out = (np.interp(apart, APART, part)[:, None] for part in self.shear)
-        turned = turned * (away @ shear)[:, None]
-        return np.asarray(along * shear + (turned + out * np.linalg.norm(shear)) * away)
+        turned = turned * (away @ side)[:, None]
+        return np.asarray(along * side + (turned + out * np.linalg.norm(side)) * away)
 
 
 # Nothing added.
@@ -583,7 +587,9 @@ class LadderPress:
             part = np.abs(apart)
             moved += ladder.by_fem.moves(dent, (1 - part) * aside / half + part * apart)
         if ladder.by_fem.shear is not None:
-            moved[:, :2] += ladder.by_fem.drags(self.shear, apart)
+            stiffness = ladder.body.modulus * ladder.body.thickness
+            side = self._elastic[:, :2].sum(axis=0) / stiffness
+            moved[:, :2] += ladder.by_fem.drags(side, apart)
         return moved
 
     @property

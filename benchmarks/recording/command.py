@@ -37,7 +37,7 @@ def _learning(name: str) -> Part:
         name,
         lambda run: module().measure(run),
         lambda values, page: str(module().section(values, page)),
-        needs="the extra learn",
+        needs="the extra learning",
     )
 
 

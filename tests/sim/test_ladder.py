@@ -1,5 +1,6 @@
 """Presses by a ladder: against the solver they are superposed from, and laws they must obey."""
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -62,15 +63,21 @@ def test_markers_move_as_in_the_solver_where_skin_is_not_drawn(
         assert np.linalg.norm(off) <= 0.1 * np.linalg.norm(true)
 
 
-@pytest.mark.parametrize(("x", "y", "most"), [(0.0, 0.0, 0.12), (1.5, -1.0, 0.17)])
-def test_markers_of_a_press_move_as_by_finite_elements(x: float, y: float, most: float) -> None:
-    at = x * MM, y * MM
-    still = Effects(friction=ROW.effects.friction)
-    scene = Scene(named("sphere_s"), press([0.6 * MM], at=at), ROW.body, still)
-    true = simulate(scene, Fem(fineness=0.5))
+@pytest.mark.parametrize(
+    ("x", "y", "shear", "most"),
+    [(0.0, 0.0, 0.0, 0.12), (1.5, -1.0, 0.0, 0.17), (0.7, 0.2, 0.4, 0.12)],
+)
+def test_markers_of_a_press_move_as_by_finite_elements(
+    x: float, y: float, shear: float, most: float
+) -> None:
+    still, depth = Effects(friction=ROW.effects.friction), 0.6 * MM
+    motion = press([depth], at=(x * MM, y * MM), shear=shear * MM, angle=0.5)
+    motion = Motion(motion.tip[:3], motion.time[:3]) if shear else motion
+    true = simulate(Scene(named("sphere_s"), motion, ROW.body, still), Fem(fineness=0.5))
     own = LadderPress(Ladder.of("sphere_s", ROW), FRICTION)
-    for fraction in np.linspace(0.0, 1.0, 9):
-        own.move(np.array([*at, -0.6 * MM * fraction]), 1.0)
+    for before, after in itertools.pairwise(np.array(motion.tip)):
+        for fraction in np.linspace(0.0, 1.0, 9):
+            own.move(before + fraction * (after - before), 1.0)
     axis = np.linspace(-0.4, 0.4, 17) * ROW.body.size_x
     places = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
     moved = np.asarray(SurfaceField.of(true).at(places))[-1]
