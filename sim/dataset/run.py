@@ -253,8 +253,8 @@ def make_in_processes(
 ) -> Iterator[tuple[Unit, int]]:
     """Make units in parallel and yield each when it is done; each process has one thread.
 
-    `inside` is not called, because several units are in progress. After an error, or `WorkerLost` if
-    a process was killed, units in flight are abandoned.
+    `inside` is not called, because several units are in progress. After an error, which is
+    `WorkerLost` if a process was killed, units in flight are abandoned.
     """
     # Warp renders the images of every tier.
     workers = Workers(max(1, min(processes, len(units))), ready_device, device, fewer=FEWER)

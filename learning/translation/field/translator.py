@@ -112,7 +112,7 @@ def _distance(packed: bytes, device: torch.device) -> Tensor:
 
 
 def load(folder: Path, device: torch.device | str = "cpu") -> FieldTranslator:
-    """Return the translator in the folder of a finished training run, or of one of its checkpoints."""
+    """Return the translator in the folder of a finished training run, or of a checkpoint of it."""
     stored = read_model_folder(Path(folder), KIND)
     model = FieldModel(stored.settings(NetSettings, "net"), stored.settings(MapSettings, "map"))
     return FieldTranslator(f"{KIND}[{stored.hash()[:8]}]", stored.load(model, device))
