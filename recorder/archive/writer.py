@@ -325,8 +325,10 @@ def fill_archive(
     """Begin or resume an archive and return the number of frames made by this call.
 
     A call that is killed at any moment and repeated with the same sensors yields the same archive.
+
     Names of indenters are in the order of their codes, attributes are JSON values, and `simulated`
-    are forces of twins by sensor. `progress` is called with the frames that exist and the total.
+    are forces of twins by sensor, added last. `progress` is called with the number of frames that
+    exist and the total.
     """
     plan = ArchivePlan(tuple(sensor.plan for sensor in sensors), tuple(indenters), attrs)
     writer = ArchiveWriter.begin(path, plan)
