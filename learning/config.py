@@ -66,11 +66,6 @@ def read_settings(
         raise LearningError(f"{error} (with --set {keys})" if keys else str(error)) from None
 
 
-def read_one_of(kinds: Sequence[type], path: Path) -> Any:
-    """Read a YAML file whose `kind` names one of some dataclasses; return it built."""
-    return READER.build_one_of(tuple(kinds), READER.read(path), str(path))
-
-
 def require(
     settings: Any,
     *names: str,

@@ -57,9 +57,9 @@ def session_digest(digests: Mapping[str, str]) -> str:
     return hashlib.sha256(lines.encode()).hexdigest()
 
 
-def digests(session: Session, progress: ReportItems | None = None) -> dict[str, str]:
+def digests(session: Session) -> dict[str, str]:
     """Return the digest of every stream of a session, by name."""
-    return {name: stream_digest(stream, progress) for name, stream in session.streams.items()}
+    return {name: stream_digest(stream) for name, stream in session.streams.items()}
 
 
 # Text summary of a session or an archive.

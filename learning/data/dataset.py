@@ -132,11 +132,7 @@ class TactileDataset(Dataset[Sample]):
         }
 
     def __getitems__(self, items: list[int]) -> list[Sample]:
-        """Return the windows of a batch; a worker refuses one for which its way out is too small.
-
-        Raises:
-            LearningError: `/dev/shm` cannot hold the batches that the workers make in advance.
-        """
+        """Return the windows of a batch; a worker refuses one that `/dev/shm` has no room for."""
         samples = [self[item] for item in items]
         worker = get_worker_info()
         if worker is not None and os.path.isdir(SHARED):

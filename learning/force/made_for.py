@@ -82,8 +82,7 @@ def made_for(model: str | os.PathLike[str]) -> tuple[Conditions, ...]:
 def differences(model: str, made: Sequence[Conditions], here: Conditions) -> Iterator[str]:
     """Yield how a sensor differs from those that a model was made for, both sides named.
 
-    Raises:
-        LearningError: Its signal is another one, so that its forces would mean nothing.
+    Another signal is an error, as its forces would mean nothing.
     """
     best = _nearest(made, here.sensor)
     if best is None:

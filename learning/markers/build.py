@@ -34,11 +34,6 @@ def archive_sessions(
     size of a pixel [mm] replace those of sessions and preset. `unseen` are indenters that models
     may not be trained on; `sam` refines masks of pictures; `irregular` markers have no regular
     pattern, and are rejected otherwise. Progress is called with the frames made and the total.
-
-    Raises:
-        LearningError: Sessions are incompatible, or a preset does not fit.
-        SessionError: A session is corrupt, or another archive exists at `out`.
-        OSError: The disk is full, or not writable.
     """
     one_thread()
     recordings, indenters = read_group(sessions, sensor)

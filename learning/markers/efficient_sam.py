@@ -63,9 +63,6 @@ class EfficientSam:
         """Return the union (480, 640) of the model's masks for boxes around markers, for RGB.
 
         `mask` is a rough one; `box_px` is half the side of a box around a marker's centre.
-
-        Raises:
-            LearningError: The model's outputs are not masks of the picture's size.
         """
         centres = marker_centres(mask)
         union = np.zeros((HEIGHT, WIDTH), np.bool_)

@@ -75,9 +75,6 @@ def taxel_masks(
     """Draw the masks (n, 480, 640) of counts in the device's order (n, 16, 3) [counts].
 
     Counts without contact are one set (16, 3), or one for each frame.
-
-    Raises:
-        ValueError: A shape is wrong, or counts are not finite.
     """
     change = np.asarray(counts, np.float64) - np.asarray(no_contact, np.float64)
     if preset.rows_from_top:

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.config import READER, preset_names, preset_path, read_one_of, require
+from learning.config import READER, preset_names, preset_path, require
 from learning.errors import LearningError
 from recorder.archive import SHADING_SIDE, SHADING_ZERO
 from recorder.markers import HEIGHT, WIDTH, DiscMap, find_blobs
@@ -488,7 +488,7 @@ def read_preset(path: Path) -> Preset:
     Raises:
         LearningError: The file is missing, is not YAML, or has an invalid key or value.
     """
-    settings: Preset = read_one_of(get_args(Preset), path)
+    settings: Preset = READER.build_one_of(get_args(Preset), READER.read(path), str(path))
     return settings
 
 

@@ -89,11 +89,7 @@ class Tracker:
         self._fresh = np.ones(len(self.reference), bool)
 
     def step(self, centres: Floats) -> Track:
-        """Find the markers among the centres (n, 2) of the next frame [px].
-
-        Raises:
-            LearningError: The shape is not (n, 2), or positions are not finite.
-        """
+        """Find the markers among the centres (n, 2) of the next frame [px]."""
         centres = np.asarray(centres, np.float64).reshape(-1, 2) if len(centres) == 0 else centres
         if centres.ndim != 2 or centres.shape[1] != 2 or not np.isfinite(centres).all():
             raise LearningError(f"centres: found shape {centres.shape}; allowed: finite (n, 2)")

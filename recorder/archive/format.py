@@ -292,11 +292,7 @@ def write_table(
     indenters: Sequence[str],
     lines: Sequence[str],
 ) -> None:
-    """Write the table of a sensor, all columns of `COLUMNS`, and its provenance lines, durably.
-
-    Raises:
-        SessionError: A column has not as many `rows` as the sensor has frames.
-    """
+    """Write the table of a sensor, all columns of `COLUMNS`, and its provenance lines, durably."""
     path = sensor / "table"
     path.mkdir(exist_ok=True)
     write_group(path, {})

@@ -210,9 +210,6 @@ class SensorWriter:
         Its n frames are packed masks (n, 38400), or as the representation; the table has columns
         `GIVEN`, n values each, and `source` a provenance line per row; rows of one press share
         theirs. If the plan has a lattice, there are fields (n, *lattice.shape) [px].
-
-        Raises:
-            SessionError: Data that does not match the plan, or a value that is not allowed.
         """
         rows = self.rows_of(unit)
         count = rows.stop - rows.start
@@ -329,13 +326,9 @@ def fill_archive(
 
     A call that is killed at any moment and repeated with the same sensors yields the same archive.
 
-    Args:
-        path: Path of the archive, which may exist in part.
-        sensors: Its sensors.
-        indenters: Names of the indenters, by code.
-        attrs: Further attributes of the archive; JSON values.
-        progress: Called with the number of frames that exist and the total.
-        simulated: Forces of twins, by sensor; added last.
+    Names of indenters are in the order of their codes, attributes are JSON values, and `simulated`
+    are forces of twins by sensor, added last. `progress` is called with the number of frames that
+    exist and the total.
     """
     plan = ArchivePlan(tuple(sensor.plan for sensor in sensors), tuple(indenters), attrs)
     writer = ArchiveWriter.begin(path, plan)

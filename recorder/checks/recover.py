@@ -88,13 +88,10 @@ def recover(path: str | os.PathLike[str]) -> Recovery:
 
 
 def _sealed_again(session: Path, attrs: dict[str, Any]) -> list[int]:
-    """Make the manifest of a closed session again, if nothing but manifests is lost.
+    """Make a closed session's lost manifests again, if nothing else is lost; return their runs.
 
     All that can be checked without it is checked first: the checksum of every chunk, the declared
     lengths, streams and columns, and what the other manifests name.
-
-    Returns:
-        The runs whose manifest was lost; empty for a session that is sealed as it is.
     """
     last = run_of(attrs)
     chain, broken = readable_chain(LOCAL, session, last)

@@ -42,9 +42,6 @@ def building(destination: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield the path to build at; on exit, rename it to its destination, or remove it on error.
 
     An interruption counts as an error, so the export is either complete or absent.
-
-    Raises:
-        SessionError: The destination exists, or its folder does not.
     """
     final = Path(destination)
     if final.exists() or final.is_symlink():

@@ -299,13 +299,10 @@ def _interpolated(piece: ClockPiece, device_t: Floats) -> Floats:
 
 
 def fit_clocks(path: str | os.PathLike[str]) -> dict[str, list[dict[str, Any] | None]]:
-    """Fit each stream that has a device time, run by run, and store the fit in its attributes.
+    """Fit each stream that has a device time, run by run; store and return attribute `clock_fit`.
 
-    The streams of the session must be closed, the session itself not yet: `SessionWriter.finish`
-    calls this on request.
-
-    Returns:
-        Attribute `clock_fit` by stream: one entry per run, None if too little was recorded.
+    By stream, it has one entry per run, None if too little was recorded. The streams of the session
+    must be closed, the session itself not yet: `SessionWriter.finish` calls this on request.
     """
     session = Session(path)
     if session.status != "recording":

@@ -86,9 +86,8 @@ def unfinished_files(layout: StreamLayout) -> tuple[Path, ...]:
 def restore(layout: StreamLayout) -> tuple[ColumnLog | None, tuple[ColumnLog, ...], Journal]:
     """Open a stream after its last complete row. If killed, it can be called again.
 
-    Returns:
-        The log of the images, those of the other columns up to the start of the journal, and the
-        journal of the rows after them.
+    It returns the log of the images, those of the other columns up to the start of the journal, and
+    the journal of the rows after them.
     """
     for path in unfinished_files(layout):
         if path.name.endswith(TEMPORARY) or path == layout.reserved:

@@ -577,11 +577,6 @@ def table_columns(path: Path, files: Files = LOCAL) -> tuple[str, ...]:
     return names
 
 
-def read_table_column(path: Path, files: Files, name: str) -> Array:
-    """Return all rows (n, ...) of a column of a table."""
-    return TableColumn.load(path / name, files).read()
-
-
 def declared_rows(path: Path, files: Files) -> int:
     """Return the number of rows that a column declares, whether or not its chunks are there."""
     shape = read_document(files, path / "zarr.json").get("shape")

@@ -31,8 +31,8 @@ from recorder.store.layout import (
     ColumnLayout,
     ShardIndex,
     StreamLayout,
+    TableColumn,
     declared_rows,
-    read_table_column,
     table_columns,
 )
 from recorder.store.records import CRC_BYTES
@@ -530,7 +530,8 @@ class Table(Mapping[str, Array]):
             raise KeyError(f"{self._path}: no column {name!r}; known: {', '.join(self._names)}")
         values = self._read.get(name)
         if values is None:
-            values = self._read.put(name, read_table_column(self._path, self._files, name))
+            column = TableColumn.load(self._path / name, self._files)
+            values = self._read.put(name, column.read())
         return values
 
     def declared_rows(self, name: str) -> int:

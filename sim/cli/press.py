@@ -34,8 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Press, show and save every frame with contact and return the exit code.
 
-    Raises:
-        SimulationDiverged: There is no solution up to the end; what was reached is shown first.
+    Without a solution up to the end, what was reached is shown before the error.
     """
     began = time.perf_counter()
     scene = scene_of(options)

@@ -119,11 +119,6 @@ def make_unit(
 
     Existing files are kept. Reproducible to the byte on a CPU, whether this process renders or
     `workers` do. `progress` is called with the fraction done.
-
-    Raises:
-        SceneError: A scene is invalid.
-        OSError: The disk is full, or the archive was removed.
-        WorkerLost: A process was killed.
     """
     family = families(plan)[unit.family]
     presses = family.presses[unit.first : unit.last]

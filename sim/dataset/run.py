@@ -237,9 +237,6 @@ def make_here(
     """Make units one by one in this process, as a GPU needs; `processes` may render their images.
 
     `inside` is called with the fraction of the unit's presses that are solved.
-
-    Raises:
-        SceneError, OSError, WorkerLost: As `make_unit`.
     """
     with several(processes, ready_device, device, fewer=FEWER) as workers:
         for unit in units:
@@ -256,11 +253,8 @@ def make_in_processes(
 ) -> Iterator[tuple[Unit, int]]:
     """Make units in parallel and yield each when it is done; each process has one thread.
 
-    `inside` is not called, because several units are in progress.
-
-    Raises:
-        SceneError, OSError: As `make_unit`; units in flight are abandoned.
-        WorkerLost: A process was killed, for example for lack of memory.
+    `inside` is not called, because several units are in progress. After an error, which is
+    `WorkerLost` if a process was killed, units in flight are abandoned.
     """
     # Warp renders the images of every tier.
     workers = Workers(max(1, min(processes, len(units))), ready_device, device, fewer=FEWER)

@@ -97,9 +97,6 @@ def load(folder: str | Path, device: torch.device | str = "cpu") -> DiffusionTra
     """Return the translator in the folder of a training run, its adapters fused for speed.
 
     The network computes in bfloat16 on GPUs that support it.
-
-    Raises:
-        LearningError: Not such a folder, or the published weights are missing or different.
     """
     stored, device = read_model_folder(Path(folder), KIND), torch.device(device)
     network = load_network(stored)

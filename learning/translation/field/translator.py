@@ -61,8 +61,7 @@ class FieldTranslator:
     ) -> Tensor:
         """Return the frames as the target would have shown them, as `Translator.translate`.
 
-        Raises:
-            LearningError: As there, or a reference has no markers.
+        A reference without markers is an error, too.
         """
         require_masks(source, target_reference, source_reference)
         if not len(source):
@@ -113,11 +112,7 @@ def _distance(packed: bytes, device: torch.device) -> Tensor:
 
 
 def load(folder: Path, device: torch.device | str = "cpu") -> FieldTranslator:
-    """Return the translator in the folder of a finished training run, or of one of its checkpoints.
-
-    Raises:
-        LearningError: No model, a model of another kind, or weights that do not fit.
-    """
+    """Return the translator in the folder of a finished training run, or of a checkpoint of it."""
     stored = read_model_folder(Path(folder), KIND)
     model = FieldModel(stored.settings(NetSettings, "net"), stored.settings(MapSettings, "map"))
     return FieldTranslator(f"{KIND}[{stored.hash()[:8]}]", stored.load(model, device))
