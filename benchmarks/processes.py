@@ -55,11 +55,7 @@ def _side_by_side(
 
 
 def alone(work: Callable[..., Outcome], *arguments: object) -> Outcome:
-    """Return what `work` returns in a process of its own, whose CPU time and memory are its own.
-
-    Raises:
-        ChildFailed: It gave no answer.
-    """
+    """Return what `work` returns in a process of its own; ChildFailed if that gave no answer."""
     try:
         with Workers(1) as worker:
             return worker.submit(work, *arguments).result(_ANSWER)

@@ -195,11 +195,7 @@ def trained(
     start_from: ForceModel | None = None,
     labels: Relabelling | None = None,
 ) -> ForceModel:
-    """Return a force net, trained in memory for the steps of the size.
-
-    Raises:
-        LearningError: There is nothing to learn from, or the training diverged.
-    """
+    """Return a force net, trained in memory; LearningError if it cannot learn or diverges."""
     settings = net_settings(study, preset, NETS[preset])
     parts = {"paper": 2} if start_from is None else {preset: 4}
     steps = 2 if study.quick else STEPS // parts.get(preset, 1)
@@ -284,11 +280,7 @@ def own(study: Study, sensor: str) -> Iterator[Prediction]:
 
 
 def cell(study: Study, one: Prediction) -> dict[str, Any]:
-    """Return the scores of a prediction: sums by indenter.
-
-    Raises:
-        LearningError: A force of a net is not finite.
-    """
+    """Return a prediction's sums by indenter; LearningError if a force of a net is not finite."""
     true, names = study.true_forces(one.target)
     finite = np.isfinite(one.force).all(axis=1)
     if one.net != "-" and not finite.all():

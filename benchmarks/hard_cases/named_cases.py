@@ -44,11 +44,7 @@ Report = dict[str, Any]
 
 
 def chosen(patterns: list[str]) -> list[str]:
-    """Return the names that match any pattern (with `*` and `?`), or all without patterns.
-
-    Raises:
-        SceneError: A pattern that matches nothing.
-    """
+    """Return names that match a pattern (`*`, `?`), or all; SceneError if a pattern has none."""
     for pattern in patterns:
         if not any(fnmatch(name, pattern) for name in CASES):
             allowed = ", ".join(CASES)

@@ -44,11 +44,7 @@ class Solver:
         ]
 
     def many(self, scenes: Sequence[Scene], spacing: float = 1e-3, **numerics: Any) -> list[Result]:
-        """Return the results of scenes solved in one call.
-
-        Raises:
-            SimulationDiverged: One of them has no solution.
-        """
+        """Return the results of scenes solved in one call; SimulationDiverged if one has none."""
         results = []
         for outcome in self.outcomes(scenes, Fem(spacing=spacing, **numerics)):
             if isinstance(outcome, SimulationDiverged):

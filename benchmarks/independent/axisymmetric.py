@@ -132,11 +132,7 @@ class AxisymmetricPress:
         self.base = 2 * np.flatnonzero(low) + 1
 
     def run(self, depths: Sequence[float], path: Sequence[float]) -> list[Answer]:
-        """Return the results at `depths` [m], passing through the depths of `path` [m].
-
-        Raises:
-            NotSolved: A step does not converge.
-        """
+        """Return results at `depths` on a `path` of depths [m]; NotSolved if a step has none."""
         none, still = np.zeros_like(self.r), np.zeros(2 * len(self.nodes))
         state, answers, before = RingState(0.0, still, none, none, still), [], 0.0
         for depth in sorted(depths):

@@ -126,11 +126,7 @@ class LayerContact:
 
 
 def layer_punch(depth: float, radius: float, layer: LinearLayer) -> LayerContact:
-    """Flat circular punch of `radius` [m], pressed in by `depth` [m].
-
-    Raises:
-        ValueError: The depth is not positive.
-    """
+    """Flat circular punch of `radius` [m], pressed in by `depth` [m]; ValueError if not above 0."""
     _require_depth(depth)
     return LayerContact(radius, np.zeros_like, layer, depth)
 

@@ -22,18 +22,16 @@ class Fine(NamedTuple):
     size: float
 
 
-def graded(
-    low: float, high: float, places: Sequence[Fine], growth: float, coarsest: float
-) -> Array:
+def graded(low: float, high: float, places: Sequence[Fine], growth: float, largest: float) -> Array:
     """Return lines from `low` to `high` [m] between elements of the sizes given by `places`.
 
-    Away from these intervals elements grow by `growth` per distance, up to `coarsest` [m].
+    Away from these intervals elements grow by `growth` per distance, up to `largest` [m].
     """
     # Half of the samples are dense at either end, where elements may be 1e-4 of the whole.
     fraction = np.linspace(0, 1, SAMPLES) ** 3
     x = np.unique(np.concatenate([low + (high - low) * fraction, high - (high - low) * fraction]))
     middle = (x[1:] + x[:-1]) / 2
-    size = np.full_like(middle, coarsest)
+    size = np.full_like(middle, largest)
     for place in places:
         away = np.maximum(np.maximum(place.low - middle, middle - place.high), 0.0)
         size = np.minimum(size, place.size + growth * away)

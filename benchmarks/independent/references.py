@@ -80,11 +80,7 @@ def by_axisymmetric(press: Press) -> list[tuple[Sequence[float], float]]:
 
 
 def answers(press: Press, radius: float, fineness: Fineness) -> list[Answer]:
-    """Solve a press into a disc of `radius` [m].
-
-    Raises:
-        NotSolved: Newton's method did not converge.
-    """
+    """Solve a press into a disc of `radius` [m]; NotSolved if Newton's method does not converge."""
     layer = Layer(radius, press.size[2] * MM, MODULUS, press.poisson)
     zones = fine_zones(press, fineness.elements)
     grid = layer_grid(radius, layer.thickness, zones, growth=fineness.growth)

@@ -51,11 +51,7 @@ _WORLD, _INDENTER = WorldSpec(sensor="r6"), "wave"
 
 
 class Motion:
-    """Ground truth of the motion.
-
-    Args:
-        seconds: Length [s].
-    """
+    """Ground truth of the motion, which lasts `seconds` [s]."""
 
     def __init__(self, seconds: float) -> None:
         # Relaxation adds a fifth to the static force.

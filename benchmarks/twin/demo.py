@@ -87,11 +87,7 @@ def measure(run: Run) -> dict[str, Any]:
 
 
 def recorded(bench: Path, path: Path, indenter: str) -> Session:
-    """Return the session of one indenter, recorded on the mock bench if it is not there yet.
-
-    Raises:
-        SceneError: The mock bench did not finish.
-    """
+    """Return an indenter's session, recorded if not there yet; SceneError if the bench fails."""
     for _ in range(TRIES):
         words = ["--bench", str(bench), "--world", "sim", "--indenter", indenter]
         words += ["--out", str(path)]

@@ -85,11 +85,7 @@ class Pad:
         return Bench(**{field: most[field] for field in ERRORS[error]})
 
     def twin(self, error: str) -> SimulatedSensor:
-        """Return the twin that is fitted to presses of `GAUGE`.
-
-        Raises:
-            SimulationDiverged: A press has no solution.
-        """
+        """Return the twin fitted to presses of `GAUGE`; SimulationDiverged if one is not solved."""
         if self.quick:
             return with_quantities(self.skin, {"thickness": 1.05 * self.skin.body.thickness})
         tracks = [
@@ -124,11 +120,7 @@ class Pad:
         return [*some, force_depth]
 
     def force(self, press: PlannedPress, error: str) -> Array:
-        """Return the true force at each frame of a press (n, 3) [N].
-
-        Raises:
-            SimulationDiverged: There is no solution.
-        """
+        """Return the true force at each frame (n, 3) [N]; SimulationDiverged without a solution."""
         count = len(press.motion)
         fine = np.arange((count - 1) * BETWEEN + 1) / BETWEEN
         frames = np.column_stack([press.motion.time, press.motion.tip])

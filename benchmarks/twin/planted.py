@@ -76,11 +76,7 @@ LAYER = Truth()
 def observed(
     skin: SimulatedSensor, presses: PlannedPresses, bench: Bench, seed: int, truth: Truth = LAYER
 ) -> PressTrack:
-    """Return the track that a bench would record of a skin.
-
-    Raises:
-        SimulationDiverged: A press has no solution.
-    """
+    """Return the track that a bench would record; SimulationDiverged if a press has no solution."""
     time, tip, force = recorded(presses, bench, seed, *solved(skin, presses, bench, truth))
     track = track_of(presses.indenter, presses.indenter, time, tip, time, force)
     assert track is not None

@@ -107,9 +107,8 @@ def identified(
     errors["relaxation"] = float(np.sqrt(np.mean(np.square(relaxed - 1))))
     errors["held-out force"] = missed
     off = {name: fit.distance(name, value) for name, value in true.items()}
-    return {"number": number, "errors": errors, "off": off, "misfit": fit.misfit} | {
-        "seconds": seconds
-    }
+    row: dict[str, Any] = {"number": number, "errors": errors, "off": off}
+    return row | {"misfit": fit.misfit, "seconds": seconds}
 
 
 def relaxation(values: Mapping[str, float], names: Iterable[str]) -> Array:

@@ -61,9 +61,7 @@ def test_it_stops_at_the_first_command_that_fails(
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: apt-get install chromium")
-def test_targets_are_marked_on_the_page_by_clicks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_clicks_on_the_page_mark_targets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "sessions").mkdir()
     known = {"plan": plan_to_json(PLAN), "targets_wanted": TARGETS, "sensor": "gelsight"}
     for name in (*first_hour.INDENTERS, "gelsight-setup-home-20261126-002053"):

@@ -96,9 +96,7 @@ def test_a_sentence_says_how_far_the_twins_forces_are_below_own_labels() -> None
 
 
 @pytest.mark.parametrize(("noise", "words"), [(0.1, "the best way has R2 0.9"), (3.0, "no way")])
-def test_a_sentence_says_whether_a_way_works_without_a_gauge_press(
-    noise: float, words: str
-) -> None:
+def test_a_sentence_says_if_a_way_works_without_a_gauge_press(noise: float, words: str) -> None:
     bare = [each | {"spent": 0} for each in cells(noise, MEAN)]
     text = page.summary({"kinds": group(bare, cells(0.1, OWN))})
     assert f"**With no gauge press on the target**: three kinds of sensors: {words}" in text

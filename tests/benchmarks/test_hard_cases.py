@@ -73,9 +73,7 @@ def test_there_are_cases_of_each_family_and_each_says_what_it_asserts() -> None:
     ],
     ids=str,
 )
-def test_a_law_holds_up_to_its_limit_and_says_how_near_it_is(
-    law: Law, holds: bool, used: float
-) -> None:
+def test_a_law_holds_up_to_its_limit_and_says_how_near(law: Law, holds: bool, used: float) -> None:
     assert (law.holds, law.used) == (holds, used)
 
 

@@ -176,9 +176,7 @@ def test_axisymmetric_presses_are_named_after_their_measures_and_wide_enough() -
         assert press.size[0] == press.size[1] >= 2 * (reach + 4 * press.size[2])
 
 
-def test_presses_are_stored_as_they_are_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_presses_are_stored_as_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = presses.FILE.read_text()
     monkeypatch.setattr(presses, "FILE", tmp_path / "presses.json")
     presses.store(PRESSES)

@@ -74,9 +74,7 @@ def test_sensors_that_were_held_out_are_in_no_mean_and_have_a_line_of_their_own(
     ("statistic", "value"),
     [("largest", "0.40"), ("smallest", "0.20"), ("mean", "0.30"), ("b:a", "0.40"), ("a:c", "-")],
 )
-def test_our_value_beside_a_figure_of_the_paper_has_its_statistic(
-    statistic: str, value: str
-) -> None:
+def test_a_value_beside_a_figure_of_the_paper_has_its_statistic(statistic: str, value: str) -> None:
     rows = force("m2m", "a", "b", 0.5), force("m2m", "b", "a", 0.7, 0.4)
     assert ours("m2m", "fz", statistic, [*rows, force("source-only", "a", "b", 0, 9)]) == value
 

@@ -74,9 +74,7 @@ def test_the_gel_is_as_noisy_as_it_says() -> None:
 
 
 @pytest.mark.parametrize("key", few(list(STORES), 3))
-def test_a_store_gives_back_what_was_appended_and_counts_its_bytes(
-    key: str, tmp_path: Path
-) -> None:
+def test_a_store_returns_what_was_appended_and_counts_its_bytes(key: str, tmp_path: Path) -> None:
     try:
         store = STORES[key].make()
     except ImportError as error:
@@ -96,9 +94,7 @@ def test_a_store_gives_back_what_was_appended_and_counts_its_bytes(
 
 
 @pytest.mark.parametrize("key", ["ours-jpeg", "ours-zstd"])
-def test_frames_that_were_not_sealed_are_read_without_repair_and_after_it(
-    key: str, tmp_path: Path
-) -> None:
+def test_unsealed_frames_are_read_without_repair_and_after_it(key: str, tmp_path: Path) -> None:
     store, frames = STORES[key].make(), GelFrames()
     make = frames.jpeg if STORES[key].frames == "jpeg" else frames.pixels
     store.create(tmp_path / "store")

@@ -204,9 +204,7 @@ def test_an_interrupted_part_goes_on_at_its_next_row_unless_code_has_changed(
         ('{"speed": 3}', r"stores\.json: does not fit this version .*: TypeError"),
     ],
 )
-def test_measurements_that_do_not_fit_are_refused(
-    text: str | None, message: str, page: Path
-) -> None:
+def test_values_that_do_not_fit_are_refused(text: str | None, message: str, page: Path) -> None:
     if text is not None:
         page.with_suffix(".json").write_text(text)
     with pytest.raises(CommandError, match=message):

@@ -127,9 +127,7 @@ def test_frames_of_several_sensors_are_read_one_after_another(archive: MarkerArc
     assert (counted[0], counted[-1]) == ((0, 4), (4, 4))
 
 
-def test_the_fingerprint_changes_with_what_the_archive_says(
-    archive: MarkerArchive, tmp_path: Path
-) -> None:
+def test_the_fingerprint_changes_with_the_archive(archive: MarkerArchive, tmp_path: Path) -> None:
     first = archive_fingerprint(archive)
     assert first == archive_fingerprint(MarkerArchive(archive.path))
     small: dict[str, Any] = {"targets": 1, "frames_per_phase": 1, "displacement": False}

@@ -166,9 +166,7 @@ def test_a_press_with_two_roles_is_refused(archive: MarkerArchive, tmp_path: Pat
         read_split(path)
 
 
-def test_trainings_without_a_split_make_the_same_one(
-    archive: MarkerArchive, tmp_path: Path
-) -> None:
+def test_trainings_without_split_make_the_same_one(archive: MarkerArchive, tmp_path: Path) -> None:
     assert training_split(archive) == make_split(archive)
     other = training_split(archive, unseen=["sphere"])
     assert {each.indenter for each in other.presses if each.role == "new_indenter"} == {"sphere"}

@@ -124,9 +124,7 @@ def test_other_features_add_distances_and_no_paired_rows(scores: TranslationScor
         require_alone([scores, again, scores])
 
 
-def test_an_archive_that_was_not_translated_is_refused(
-    archive: MarkerArchive, split: Split
-) -> None:
+def test_an_untranslated_archive_is_refused(archive: MarkerArchive, split: Split) -> None:
     with pytest.raises(LearningError, match="allowed: frames translated from and to"):
         score_translation(archive, archive["grid"], split, ["new_indenter"], MARKER_GRID)
 

@@ -243,9 +243,7 @@ def test_mirroring_a_frame_mirrors_its_shear() -> None:
     assert torch.equal(forces_of([presses.wrench], columns, device)[0, 0], force)
 
 
-def test_superposing_adds_fields_and_forces_and_takes_no_missing_label_of_a_press_left_out() -> (
-    None
-):
+def test_superposing_adds_fields_and_forces_without_missing_labels_of_a_press_left_out() -> None:
     factors = np.array([0.5, 0.0, 0.25], np.float32)
     joined = _sequences(np.array([[0], [1], [2]]), added=np.array([1, 2, 0]), factors=factors)
     forces = torch.tensor([[[1.0, 2.0, 3.0]], [[4.0, 5.0, 6.0]], [[torch.nan, 7.0, 8.0]]])

@@ -368,9 +368,7 @@ def test_simulated_pictures_are_numbered_as_simulated_archives_are(tmp_path: Pat
 
 
 @pytest.mark.parametrize("kind", few(["camera", "taxels"], 1))
-def test_runs_as_they_were_collected_give_the_archive_of_their_session(
-    kind: str, tmp_path: Path
-) -> None:
+def test_runs_as_collected_give_the_archive_of_their_session(kind: str, tmp_path: Path) -> None:
     session = record(tmp_path / "s.zarr", kind)
     export(session, tmp_path / "data", "genforce")
     assert layout_of(tmp_path / "data") == "raw"

@@ -106,9 +106,7 @@ def scene() -> tuple[Any, Any, Any]:
 
 
 @pytest.mark.parametrize("prompts", few(["prompts", 1, 3], 1))
-def test_boxes_around_rough_centres_come_back_as_whole_markers(
-    prompts: int | str, tmp_path: Path
-) -> None:
+def test_boxes_at_rough_centres_become_whole_markers(prompts: int | str, tmp_path: Path) -> None:
     encoder, decoder = tmp_path / "encoder.onnx", tmp_path / "decoder.onnx"
     sam = EfficientSam(small_encoder(encoder), small_decoder(decoder, prompts))
     picture, whole, rough = scene()

@@ -92,9 +92,7 @@ def test_a_camera_of_any_name_is_read(camera: Path, archive: MarkerArchive, tmp_
     )
 
 
-def test_masks_show_the_markers_where_the_world_had_them(
-    archive: MarkerArchive, camera: Path
-) -> None:
+def test_masks_show_markers_where_the_world_had_them(archive: MarkerArchive, camera: Path) -> None:
     session, sensor = Session(camera), archive["gelsight"]
     rows = np.flatnonzero(~hidden(camera))[::6]
     seconds = session.streams["camera"].array("device_t")[session.frames["image"][rows]]
@@ -114,9 +112,7 @@ def test_the_reference_is_the_picture_without_contact(archive: MarkerArchive, ca
     assert len(marker_centres(mask)) == 63
 
 
-def test_frames_that_lost_markers_are_flagged_and_kept(
-    archive: MarkerArchive, camera: Path
-) -> None:
+def test_frames_missing_markers_are_flagged_and_kept(archive: MarkerArchive, camera: Path) -> None:
     sensor = archive["gelsight"]
     reported = [json.loads(sensor.sources[one]) for one in sensor.table["source"]]
     flagged = np.array([FLAG in one for one in reported])
@@ -187,9 +183,7 @@ def test_killed_and_started_again_it_ends_in_the_same_bytes(
     assert archive_sessions([taxels], torn)[0] == 0
 
 
-def test_rows_without_a_sample_near_enough_are_not_there_and_say_why(
-    taxels: Path, tmp_path: Path
-) -> None:
+def test_rows_without_a_near_sample_are_not_there_and_say_why(taxels: Path, tmp_path: Path) -> None:
     valid = np.arange(32) % 10 != 3
     path = altered(taxels, tmp_path / "s.zarr", {"frames/valid": valid})
     _, lines = archive_sessions([path], tmp_path / "a.markers.zarr")
@@ -204,9 +198,7 @@ def test_rows_without_a_sample_near_enough_are_not_there_and_say_why(
     assert check(tmp_path / "a.markers.zarr") == []
 
 
-def test_of_a_target_that_was_pressed_twice_one_press_is_taken(
-    taxels: Path, tmp_path: Path
-) -> None:
+def test_of_a_target_pressed_twice_one_press_is_taken(taxels: Path, tmp_path: Path) -> None:
     path = altered(taxels, tmp_path / "s.zarr", {"frames/target": np.zeros(32, np.int32)})
     _, lines = archive_sessions([path], tmp_path / "a.markers.zarr")
     table = MarkerArchive(tmp_path / "a.markers.zarr")["uskin"].table

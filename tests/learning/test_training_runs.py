@@ -153,9 +153,7 @@ def test_a_description_may_be_reworded(tmp_path: Path) -> None:
         RunFolder.open(tmp_path / "run", "force", other, "data")
 
 
-def test_a_folder_that_is_nowhere_keeps_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_nowhere_keeps_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _train(tmp_path / "run", 10)
     monkeypatch.chdir(tmp_path / "run")
     net, run = Net(8), RunFolder.nowhere()

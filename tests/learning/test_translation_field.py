@@ -60,9 +60,7 @@ def frames(archive: MarkerArchive) -> FieldFrames:
     return found
 
 
-def test_far_from_an_edge_a_signed_distance_is_that_to_the_nearest_pixel_of_the_other_kind() -> (
-    None
-):
+def test_far_from_an_edge_a_signed_distance_is_to_the_nearest_pixel_of_the_other_kind() -> None:
     masks = torch.zeros(2, 24, 40, dtype=torch.bool)
     masks[0, 3:15, 4:17] = True
     masks[0, 20, 33] = True

@@ -318,9 +318,7 @@ def test_order_repetition_and_many_writers_do_not_matter(archive: Path, tmp_path
 
 
 @pytest.mark.parametrize("seed", few(range(30), 1))
-def test_killed_at_random_and_started_again_the_bytes_are_the_same(
-    seed: int, tmp_path: Path
-) -> None:
+def test_killed_at_random_and_restarted_the_bytes_are_the_same(seed: int, tmp_path: Path) -> None:
     many_units = ArchivePlan(
         tuple(replace(one, unit_rows=CHUNK) for one in PLAN.sensors), INDENTERS
     )
@@ -516,9 +514,7 @@ def group(
     ("targets", "pairs"), [(240, 17_280), (48, 3_456), (160, 11_520)], ids=["homo", "mat", "hetero"]
 )
 @pytest.mark.parametrize("preset", few(["supplement", "authors_code"], 1))
-def test_full_groups_have_the_papers_numbers_of_pairs(
-    targets: int, pairs: int, preset: str
-) -> None:
+def test_full_groups_have_the_papers_number_of_pairs(targets: int, pairs: int, preset: str) -> None:
     source, target = group(18, targets, seed=1), group(18, targets, 3, seed=2)
     found = location_pairs(source, target, preset)
     assert len(found) == pairs

@@ -99,9 +99,7 @@ def test_a_damaged_or_deleted_catalogue_is_rebuilt_from_disk(day: Path, content:
 @pytest.mark.parametrize(
     "content", ["", "[1]", '{"attributes": 3}', '{"attributes": {"format": "tactile-rig session"}']
 )
-def test_a_session_whose_metadata_is_damaged_is_listed_as_unreadable(
-    day: Path, content: str
-) -> None:
+def test_a_session_with_damaged_metadata_is_listed_as_unreadable(day: Path, content: str) -> None:
     (day / "a.zarr/zarr.json").write_text(content)
     (row,) = _fresh(day).find(Query(status=UNREADABLE))
     assert row.path == "a.zarr"

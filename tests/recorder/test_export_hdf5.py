@@ -43,9 +43,7 @@ def test_every_number_name_and_unit_is_there(names: tuple[str, ...], tmp_path: P
 @pytest.mark.parametrize(
     ("codec", "images"), [("jpeg", "stored"), ("jpeg", "pixels"), ("zstd", "stored")]
 )
-def test_images_are_the_bytes_of_the_camera_or_the_pixels(
-    codec: str, images: str, tmp_path: Path
-) -> None:
+def test_images_are_the_cameras_bytes_or_pixels(codec: str, images: str, tmp_path: Path) -> None:
     path = make_session(tmp_path / "s.zarr", names=("camera",), codec=codec, seconds=1.0)
     camera = Session(path).streams["camera"]
     export(path, tmp_path / "s.h5", "hdf5", options=Options(images=images))

@@ -110,9 +110,7 @@ NOT_SECONDS = [float("nan"), float("inf"), -1.0, 1e300, "0.01", True, [0.01], {"
 
 
 @pytest.mark.parametrize("key", ["latency", "exposure", "max_age"])
-def test_a_time_that_alignment_reads_is_refused_by_name_if_it_is_none(
-    key: str, tmp_path: Path
-) -> None:
+def test_a_time_that_alignment_reads_is_refused_by_name_if_none(key: str, tmp_path: Path) -> None:
     path = unsealed(tmp_path)
     for value in NOT_SECONDS:
         set_attrs_of(path, "streams/force", **{key: value})

@@ -87,9 +87,7 @@ def test_a_stream_out_of_order_is_aligned_as_a_whole(tmp_path: Path) -> None:
         _same(align_window(ticks, near), align_window(ticks, session.sources(0)))
 
 
-def test_opening_reads_each_metadata_file_once(
-    recorded: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_opening_reads_metadata_files_once(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     read: Counter[Path] = Counter()
     original = Path.read_bytes
 

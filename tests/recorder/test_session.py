@@ -390,9 +390,7 @@ def test_a_portable_copy_holds_the_same_pixels_of_all_cameras_for_everybody(tmp_
         np.testing.assert_array_equal(source.frames[name], copy.frames[name])
 
 
-def test_a_copy_keeps_the_bytes_of_images_as_they_are_stored(
-    recorded: Path, tmp_path: Path
-) -> None:
+def test_a_copy_keeps_the_bytes_of_images_as_stored(recorded: Path, tmp_path: Path) -> None:
     export(recorded, tmp_path / "same.zarr", "zarr")
     same, source = (
         Stream(tmp_path / "same.zarr/streams/camera"),

@@ -135,9 +135,7 @@ def test_packaged_benches_come_last_and_are_known_in_any_folder(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("named", ["../tacpalm.yaml", "tacpalm.yaml", "../../tacpalm.yaml"])
-def test_a_labs_bench_extends_a_packaged_one_that_is_not_beside_it(
-    tmp_path: Path, named: str
-) -> None:
+def test_a_labs_bench_extends_a_packaged_one_not_beside_it(tmp_path: Path, named: str) -> None:
     path = tmp_path / "benches" / "lab" / "mine.yaml"
     path.parent.mkdir(parents=True)
     path.write_text(f"extends: {named}\ndescription: mine\n")
@@ -189,9 +187,7 @@ def test_a_packaged_file_stands_in_for_one_that_is_missing(
     ("page", "sensor", "mock"),
     [("benches/lab/README.md", "tacpalm", False), ("docs/how-to/add-a-sensor.md", "digit", True)],
 )
-def test_the_examples_of_pages_are_benches(
-    page: str, sensor: str, mock: bool, tmp_path: Path
-) -> None:
+def test_examples_of_pages_are_benches(page: str, sensor: str, mock: bool, tmp_path: Path) -> None:
     example = re.search(r"```yaml\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
     assert example is not None
     path = tmp_path / "benches" / "lab" / f"{sensor}.yaml"

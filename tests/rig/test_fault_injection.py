@@ -294,9 +294,7 @@ def number_of(device: str, sample: dict[str, Any]) -> float:
 
 
 @pytest.mark.parametrize("device", sorted(DEVICES))
-def test_an_unplugged_device_refuses_everybody_until_it_is_plugged_in_again(
-    device: str, host: str
-) -> None:
+def test_an_unplugged_device_refuses_everybody_until_plugged_in(device: str, host: str) -> None:
     emulator, driver, inject = DEVICES[device](host, 60.0)
     with running(emulator):
         inject("unplug")

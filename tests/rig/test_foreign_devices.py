@@ -136,9 +136,7 @@ taxels: {kind: skin, host: loopback, port: 4001, rate_hz: 50.0}
 """
 
 
-def test_a_bench_file_names_devices_of_other_packages_by_their_kind(
-    site: Path, tmp_path: Path
-) -> None:
+def test_a_bench_file_names_devices_of_other_packages_by_kind(site: Path, tmp_path: Path) -> None:
     bench = BenchFile.read(bench_of(tmp_path, BENCH)).bench
     assert type(bench.force).__name__ == "LineGaugeSettings"
     assert bench.row("taxels").shape == {"taxels": 24, "axes": 2}

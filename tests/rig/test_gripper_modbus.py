@@ -50,9 +50,7 @@ CLOSE = GripperCommand(go=True, position=255, speed=255, force=255)
     ],
     ids=["closing", "reading the status"],
 )
-def test_requests_are_the_frames_that_the_manual_prints(
-    request_sent: ModbusRequest, frame: str
-) -> None:
+def test_requests_are_the_frames_of_the_manual(request_sent: ModbusRequest, frame: str) -> None:
     assert robotiq_wire.emit_request(request_sent).hex(" ") == frame
 
 

@@ -75,9 +75,7 @@ ODD: dict[str, tuple[str, str, dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize(("state", "text", "fault"), ODD.values(), ids=ODD)
-def test_an_odd_force_is_found(
-    state: str, text: str, fault: dict[str, Any], tmp_path: Path
-) -> None:
+def test_odd_forces_are_found(state: str, text: str, fault: dict[str, Any], tmp_path: Path) -> None:
     with recording(USKIN, tmp_path) as made:
         assert wrong(made.seconds(2)) == {}
         made.second(**fault)

@@ -22,9 +22,7 @@ from rig.core.packaged import BENCHES
         ("tacpalm", ("160 targets", "x -8.00 to +8.00 mm", "depth 4.957 mm")),
     ],
 )
-def test_every_plan_is_drawn_and_described(
-    sensor: str, words: tuple[str, ...], tmp_path: Path
-) -> None:
+def test_plans_are_drawn_and_described(sensor: str, words: tuple[str, ...], tmp_path: Path) -> None:
     bench = BenchFile.read(BENCHES / f"{sensor}.yaml").bench
     walked = bench.dry_run(bench.trajectory)
     described = "\n".join(summary(bench, walked))

@@ -128,9 +128,7 @@ def test_a_stopped_set_up_goes_on_and_ends_in_a_report_that_sessions_carry(
     assert steps.run == [("first", 100.0, 100.0)]
 
 
-def test_a_step_is_repeated_once_its_part_of_the_bench_file_changes(
-    steps: Steps, tmp_path: Path
-) -> None:
+def test_a_step_repeats_once_its_part_of_the_bench_changes(steps: Steps, tmp_path: Path) -> None:
     file = tmp_path / "bench.yaml"
     for rate, run in ((1000, 2), (500, 1), (500, 0)):
         file.write_text(f"extends: {BENCH}\nforce: {{rate_hz: {rate}}}\n")

@@ -147,9 +147,7 @@ def test_a_lab_bench_without_a_gauge_that_guards_is_refused(force: Any) -> None:
     assert not bench_from(content, "bench.yaml").gauges  # a mock bench may
 
 
-def test_every_device_has_an_emulator_and_a_fault_port_of_its_own(
-    three: BenchFile, tmp_path: Path
-) -> None:
+def test_every_device_has_its_own_emulator_and_fault_port(three: BenchFile, tmp_path: Path) -> None:
     documents = MockBench(three, tmp_path).documents()
     devices = [*NAMES[:1], "arm", *NAMES[2:4], *(f"{name}.device" for name in NAMES[4:10])]
     assert set(documents) == {"world", *devices}  # the arm's controller serves all poses

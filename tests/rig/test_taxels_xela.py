@@ -182,9 +182,7 @@ def test_a_server_of_something_else_is_device_lost_and_an_address_that_is_none_i
         XelaDriver(XelaConfig("http://127.0.0.1:5000"), CLOCK).open(0.5)
 
 
-def test_a_log_is_played_in_a_loop_and_one_of_another_shape_refused(
-    host: str, tmp_path: Path
-) -> None:
+def test_a_log_is_played_in_a_loop_and_another_shape_refused(host: str, tmp_path: Path) -> None:
     log = 30000.3 + np.arange(4 * 48).reshape(4, 48)
     np.save(tmp_path / "log.npy", log.astype(np.float32))
     with emulated(host, source=load_log(tmp_path / "log.npy")), opened(host) as driver:

@@ -233,9 +233,7 @@ def test_plans_say_in_which_keys_they_differ() -> None:
 
 
 @pytest.mark.parametrize(("mean", "most"), [(0.0, 0), (0.5, 6), (10.0, 26)])
-def test_a_number_is_hardly_ever_beyond_the_most_of_its_distribution(
-    mean: float, most: int
-) -> None:
+def test_a_number_is_rarely_beyond_the_most_of_its_distribution(mean: float, most: int) -> None:
     chances = [math.exp(-mean) * mean**k / math.factorial(k) for k in range(100)]
     assert most_of_poisson(1e-5, mean) == most
     assert sum(chances[most + 1 :]) <= 1e-5

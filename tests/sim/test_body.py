@@ -33,9 +33,7 @@ def test_every_field_refuses_what_is_no_number_in_its_range(name: str, value: ob
         ("density", 1.0, 1e5),
     ],
 )
-def test_the_ends_of_a_range_are_in_it_and_nothing_beyond(
-    name: str, low: float, high: float
-) -> None:
+def test_ends_of_a_range_are_in_it_and_nothing_beyond(name: str, low: float, high: float) -> None:
     for value in (low, high):
         assert getattr(Body(**{name: value}), name) == value
     for beyond in (math.nextafter(low, -math.inf), math.nextafter(high, math.inf)):

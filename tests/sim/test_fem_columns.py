@@ -41,9 +41,7 @@ def _inverse(tangents: Tangents, real: Any, env: int) -> Array:
 
 @pytest.mark.parametrize("parallel", [False, True])
 @pytest.mark.parametrize(("real", "error"), few(REALS, 1))
-def test_columns_are_solved_as_a_dense_matrix_would_be(
-    real: Any, error: float, parallel: bool
-) -> None:
+def test_columns_are_solved_as_a_dense_matrix_is(real: Any, error: float, parallel: bool) -> None:
     tangents = Tangents(strain=0.005, contact=0.0)
     block_matrix = tangents.block_matrix(real)
     columns = Multigrid([GRID], np.zeros(3, int), real, "cpu", parallel=parallel)

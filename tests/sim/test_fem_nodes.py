@@ -154,9 +154,7 @@ def test_a_run_knows_the_least_determinant_around_its_own_nodes() -> None:
 
 
 @pytest.mark.parametrize(("real", "error"), REALS)
-def test_push_gathers_the_faces_that_are_touched_at_nodes_that_move(
-    real: Any, error: float
-) -> None:
+def test_push_gathers_the_touched_faces_at_nodes_that_move(real: Any, error: float) -> None:
     faces, touched = _random(3, len(MESH.faces), 4, 3), _touched()
     before = _random(3, COUNT, 3)
     pushed = oracle.vectors(before, real)

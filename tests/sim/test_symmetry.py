@@ -74,9 +74,7 @@ def test_a_difference_is_as_large_as_the_part_that_makes_it() -> None:
         (Scene(sphere(3e-3), Motion(((0.0, 0.0, 1e-3),), (0.0,))), set()),
     ],
 )
-def test_a_scenes_planes_hold_its_body_its_motion_and_gravity(
-    scene: Scene, planes: set[str]
-) -> None:
+def test_a_scenes_planes_hold_its_body_motion_and_gravity(scene: Scene, planes: set[str]) -> None:
     assert set(planes_of(scene)) == planes
 
 

@@ -274,9 +274,7 @@ def test_a_log_of_the_uskin_server_is_read_by_its_own_times(tmp_path: Path) -> N
     assert np.array_equal(Session(out).streams["taxels"].array("value"), counts)
 
 
-def test_what_is_in_an_npz_and_a_csv_becomes_streams(
-    tmp_path: Path, refused: Callable[..., str]
-) -> None:
+def test_an_npz_and_a_csv_become_streams(tmp_path: Path, refused: Callable[..., str]) -> None:
     force = pressing()
     write_frames(tmp_path / "a" / "images", pictures(force))
     np.savez(

@@ -74,11 +74,7 @@ class Entry:
         return self.module == "ours"
 
     def make(self) -> FrameStore:
-        """Create the store; its library is imported here.
-
-        Raises:
-            ImportError: The library is not installed.
-        """
+        """Create the store, and import its library; ImportError if that is not installed."""
         store: FrameStore = importlib.import_module(f"{__name__}.{self.module}").Store(self.profile)
         return store
 
