@@ -127,8 +127,8 @@ class ByFem:
     places evenly spaced across the body; None: unknown."""
     shear: Array | None = None
     """The same in shear, for all indenters of a skin, over s, the side force over modulus and
-    thickness: along s, along (s e) e and along |s| e, where e points away from the middle (3, 7), at
-    distances `APART`; None: unknown."""
+    thickness: along s, along (s e) e and along |s| e, where e points away from the middle, at
+    distances `APART` (3, 7); None: unknown."""
 
     @classmethod
     def read(cls, file: Mapping[str, Any], key: str, *, whole: bool = True) -> Self:
