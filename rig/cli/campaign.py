@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--world",
         choices=("sim",),
-        help="mock benches: simulate the contact by `sim` in place of the bench files' formulae",
+        help="mock benches: solve the contact along the path, not by superposed presses",
     )
     parser.add_argument(
         "--keep-going",

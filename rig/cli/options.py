@@ -69,7 +69,7 @@ def bench_options(
         group.add_argument(
             "--world",
             choices=("sim",),
-            help="simulate the contact by `sim` in place of the bench file's formulae",
+            help="solve the contact along the arm's path, in place of superposed presses",
         )
     if mock and not gauge:
         group.add_argument(
