@@ -231,9 +231,8 @@ def time_share(result: Result) -> Array:
 
 def steps_share(result: Result) -> Array:
     """Return the error by steps in time of each frame (F,), over the force."""
-    return np.array(
-        result.record["time"]["force"] if "time" in result.record else 0.0 * result.force[:, 0]
-    )
+    none = np.zeros(len(result.force))
+    return np.array(result.record.get("time", {}).get("force", none))
 
 
 def waves_share(result: Result) -> Array:

@@ -142,8 +142,8 @@ def combine(onsets: Sequence[Onset]) -> Surface:
     """Combine repeated approaches: the mean of their heights, with an interval.
 
     The half-width is the larger of Student's t times the standard error between approaches, and
-    the root mean square half-width of the single intervals divided by the root of their number,
-    and with it the error of the model's shape, which more approaches do not reduce.
+    the root mean square half-width of the single intervals divided by the root of their number.
+    The error of the model's shape is added in squares, and more approaches do not reduce it.
     """
     if not onsets:
         raise ValueError("onsets: found none; allowed: at least one")
