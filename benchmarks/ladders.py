@@ -232,7 +232,10 @@ def followed(ladder: Ladder, row: SimulatedSensor, tips: Array) -> Iterator[Ladd
 def dragged(
     row: SimulatedSensor, ladders: dict[str, Ladder], presses: dict[str, Row]
 ) -> dict[str, tuple[Array, Array]]:
-    """Return what parts of `ByFem.shear` add in sheared presses (n, 21), and what is missing."""
+    """Return equations for `ByFem.shear` by indenter: a matrix (n, 21) and the right side (n,) [m].
+
+    The unknowns are its parts; each row is a component of a marker's motion in a sheared press.
+    """
     equations = {}
     for name, ladder in ladders.items():
         one = presses.get(f"{row.name} {name} sheared", {})

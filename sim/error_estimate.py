@@ -188,17 +188,11 @@ def _of_elements(result: Result) -> dict[str, Any]:
     # A contact smaller than an element has a force, but no width.
     fraction[np.isinf(fineness) & result.force.any(axis=1)] = 1.0
     fraction = _weighed(result, fraction) + time_share(result)
+    # A press that overlaps the skin without a force has missed it.
     pressed = np.array([point[2] < 0 for point in result.scene.motion.tip])
     by = "how finely the contact is meshed" + (", and steps in time" * ("time" in result.record))
-    error = error_entry(result, "estimated", fraction, by)
     missed = pressed & ~result.force.any(axis=1) & (result.quality.overlap > 0)
-    if missed.any():
-        error["force"] = [
-            1.0 if one else fraction
-            for one, fraction in zip(missed.tolist(), error["force"], strict=True)
-        ]
-        error["percent"] = 100.0
-    return error
+    return error_entry(result, "estimated", np.maximum(fraction, missed), by)
 
 
 def touched_edge(result: Result) -> Array:

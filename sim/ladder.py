@@ -688,7 +688,7 @@ def fem_of(key: str, body: Body) -> ByFem:
     ratios = np.stack([np.interp(depth, one.depth, one.ratio) for one in others])
     middle = np.median(ratios, axis=0)
     error = np.maximum(np.abs(ratios / middle - 1).max(axis=0), ANOTHER)
-    return replace(others[0], depth=depth, ratio=middle, error=error, side=1.0)
+    return ByFem(depth, middle, error, shear=others[0].shear)
 
 
 def _growing(stiffness: Array) -> Array:

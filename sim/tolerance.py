@@ -269,21 +269,17 @@ class _Search:
         from sim.fem.mesh import meshes_of
 
         states = first_mesh(self._scene, self._wanted, self._device)
-        fineness, solved, limited = states.fineness, 0.0, False
+        fineness, limited = states.fineness, False
         moves = self._scene.effects.inertia is not None
-        chain = _Chain(self._scene, self._unchosen if moves else None, self._device)
-        if moves:
+        if moves:  # an answer before steps in time are chosen, which takes longer
             states = replace(states, step_factor=1)
-        if self.until < math.inf:  # an answer before steps in time are chosen, which takes longer
-            chain, solved = self._begun(
-                chain.steps, states, self._quick[-1:] if moves else self._quick
-            )
+            chain, solved = self._begun(self._unchosen, states, self._quick[-1:])
+        else:
+            chain, solved = self._begun(None, states, self._quick)
         steps = self._in_time(states)
         if steps is not None and steps.factor > 1:
             states = replace(states, step_factor=steps.factor)
-            chain = _Chain(self._scene, steps, self._device)
-            if self.until < math.inf:
-                chain, solved = self._begun(steps, states, self._quick)
+            chain, solved = self._begun(steps, states, self._quick)
         chain.steps = steps
         for _round in range(ROUNDS if self.until == math.inf else QUICK_ROUNDS):
             affordable = self._affordable()
@@ -319,9 +315,14 @@ class _Search:
     def _begun(
         self, steps: TimeSteps | None, states: Fem, quick: Sequence[float]
     ) -> tuple[_Chain, float]:
-        """Return the first mesh of a limited time, of the first fineness that it is enough for."""
+        """Return a chain and the fineness of its first mesh: 0, without one, if no time is set.
+
+        Of the `quick` ones it is the first that the time is enough for.
+        """
         from sim.fem.stepping import OutOfTime, limited
 
+        if self.until == math.inf:
+            return _Chain(self._scene, steps, self._device), 0.0
         for fineness in quick[:-1]:
             chain, now = _Chain(self._scene, steps, self._device), time.monotonic()
             try:
@@ -592,20 +593,20 @@ def _with_waves(coarse: Result, fine: Result, unsure: Array, apart: Array) -> tu
     error of order 1 leaves of the largest difference is the largest error by waves, and in other
     frames in proportion to their estimates.
     """
+    from sim.fem.in_time import with_neighbours
+
     waves = waves_share(fine)
     longer, shorter = (one.record["mesh"].get("damped", 0.0) for one in (coarse, fine))
     if not waves.any() or longer < RATIO_LEAST * shorter:
         return unsure, waves
-    near = np.pad(apart / (longer / shorter - 1.0), 1)
-    # Of two swings that are not in step, a frame may see the moment at which they are equal.
-    measured = np.maximum(near[1:-1], np.maximum(near[:-2], near[2:]) / 2)
+    measured = with_neighbours(apart * left_of_difference(longer / shorter, order=1.0))
     measured = np.maximum(measured, waves * measured.max() / waves.max())
     return np.maximum(unsure, np.minimum(measured, waves)), np.zeros(len(waves))
 
 
-def left_of_difference(ratio: float) -> float:
+def left_of_difference(ratio: float, order: float = ORDER) -> float:
     """Return the finer mesh's error over the difference of two meshes with this size `ratio`."""
-    return 1.0 / (float(ratio**ORDER) - 1.0)
+    return 1.0 / (float(ratio**order) - 1.0)
 
 
 def _most_of_difference(coarse: Result, fine: Result) -> Array:

@@ -125,11 +125,18 @@ def _of_inertia(few: Array, many: Array, scene: Scene) -> Array:
     if not count:
         return np.full(len(scene.motion), UNMEASURED)
     apart = np.abs(few[:count] - many[:count]).max(axis=1) / force_scale(many[:count])
-    # Of two swings that are not in step, a frame may see the moment at which they are equal.
-    near = np.pad(apart, 1)
-    apart = np.maximum(near[1:-1], np.maximum(near[:-2], near[2:]) / 2)
+    apart = with_neighbours(apart)
     beyond = np.full(len(scene.motion) - count, BEYOND * apart.max())
     return np.asarray(OF_DIFFERENCE * np.concatenate([apart, beyond]))
+
+
+def with_neighbours(apart: Array) -> Array:
+    """Return differences of two swings in each frame (F,), each at least half of its neighbours'.
+
+    If they are not in step, a frame may see the moment at which they are equal.
+    """
+    near = np.pad(apart, 1)
+    return np.asarray(np.maximum(near[1:-1], np.maximum(near[:-2], near[2:]) / 2))
 
 
 def _forces(outcome: Outcome) -> Array:

@@ -99,11 +99,11 @@ def _by_refining(scene: Scene, fineness: float, factor: int, device: str) -> Ref
     if broken := silent_laws(fine):
         raise NoReference(f"its finest solution breaks laws of mechanics: {', '.join(broken)}")
     apart = fine.force - coarse.force
-    meshes = apart * left_of_difference(ratio)
+    second = left_of_difference(ratio)
     # Half of the correction; with inertia at least half of what an error of order 1 would add.
-    first = 0.0 if effects.inertia is None else 1 / (ratio - 1) - left_of_difference(ratio)
-    left = max(left_of_difference(ratio), first) / 2
-    force, unsure = fine.force + meshes, left * np.abs(apart).max(axis=1)
+    first = 0.0 if effects.inertia is None else left_of_difference(ratio, order=1.0) - second
+    force = fine.force + second * apart
+    unsure = max(second, first) / 2 * np.abs(apart).max(axis=1)
     if times > 1:
         small = _solved(scene, replace(numerics, step_factor=times * factor), device)
         change = small.force - coarse.force
