@@ -236,22 +236,19 @@ def dragged(
 
     The unknowns are its parts; each row is a component of a marker's motion in a sheared press.
     """
-    equations = {}
+    equations, parts = {}, np.eye(3 * len(APART)).reshape(-1, 3, len(APART))
     for name, ladder in ladders.items():
         one = presses.get(f"{row.name} {name} sheared", {})
         if "moved" not in one or one["error"].max() > CERTAIN:
             continue
-        places, by_fem, added, wanted = places_of(row, "sheared"), ladder.by_fem, [], []
-        parts = np.eye(3 * len(APART)).reshape(-1, 3, len(APART))
+        ladder.by_fem = replace(ladder.by_fem, shear=None)
+        each = [replace(BARE, shear=part) for part in parts]
+        places, added, wanted = places_of(row, "sheared"), [], []
         for k, own in enumerate(followed(ladder, row, one["tip"][: 2 * FRAMES + 1])):
-            moved = []
-            for part in (None, *parts) if k > FRAMES else ():
-                ladder.by_fem = replace(by_fem, shear=part)
-                moved.append(own.markers(places)[:, :2].ravel())
-            if moved:
-                added.append(np.stack(moved[1:], axis=1) - moved[0][:, None])
-                wanted.append(one["moved"][k][:, :2].ravel() - moved[0])
-        equations[name] = np.concatenate(added), np.concatenate(wanted)
+            if k > FRAMES:
+                added.append(np.stack([own.dragged(places, part).ravel() for part in each], 1))
+                wanted.append((one["moved"][k] - own.markers(places))[:, :2].ravel())
+        equations[name] = np.concatenate(added).astype(float), np.concatenate(wanted)
     return equations
 
 

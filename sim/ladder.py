@@ -580,17 +580,26 @@ class LadderPress:
         centre = self.tip[:2] - self.shear
         aside = np.asarray(points, float) - centre
         moved = fields.at(field, aside)
-        # Beside the contact as in the body's middle, and towards each wall as towards that.
-        half = np.array([ladder.body.size_x, ladder.body.size_y]) / 2
-        apart = aside / np.abs(np.where(aside < 0, -half, half) - centre)
         if ladder.by_fem.moved is not None:
-            part = np.abs(apart)
+            # Beside the contact as in the body's middle, and towards each wall as towards that.
+            apart = self._over_walls(aside)
+            part, half = np.abs(apart), np.array([ladder.body.size_x, ladder.body.size_y]) / 2
             moved += ladder.by_fem.moves(dent, (1 - part) * aside / half + part * apart)
         if ladder.by_fem.shear is not None:
-            stiffness = ladder.body.modulus * ladder.body.thickness
-            side = self._elastic[:, :2].sum(axis=0) / stiffness
-            moved[:, :2] += ladder.by_fem.drags(side, apart)
+            moved[:, :2] += self.dragged(points, ladder.by_fem)
         return moved
+
+    def dragged(self, points: Array, by_fem: ByFem) -> Array:
+        """Return how `by_fem` moves points (n, 2) [m] more in this shear (n, 2) [m]."""
+        body = self._ladder.body
+        side = self._elastic[:, :2].sum(axis=0) / (body.modulus * body.thickness)
+        return by_fem.drags(side, self._over_walls(points - (self.tip[:2] - self.shear)))
+
+    def _over_walls(self, aside: Array) -> Array:
+        """Return places (n, 2) [m] beside the contact's middle over the distances of the walls."""
+        half = np.array([self._ladder.body.size_x, self._ladder.body.size_y]) / 2
+        centre = self.tip[:2] - self.shear
+        return np.asarray(aside / np.abs(np.where(aside < 0, -half, half) - centre))
 
     @property
     def _dent(self) -> float:
