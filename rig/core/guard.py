@@ -245,36 +245,34 @@ class ForceGuard:
         for t_ns, force in zip(records["t_ns"].tolist(), forces.tolist(), strict=True):
             if t_ns > newest_ns:
                 self._history.append((t_ns, force))
-        ahead = self._predict()
-        newest = self._loads(forces[-1].tolist())
-        later = self._loads(ahead) if ahead is not None else newest
+        newest = forces[-1].tolist()
+        ahead = self._predict() or newest
         arrived_ns, cause = int(records["t_ns"][-1]), "check the F/T sensor and its cable"
         late = stale("stale_force", "force", now_ns, arrived_ns, limits.stale_force, cause)
         if mode == "retreat":
             # A sensor lost under load must not keep the arm there, nor a single bad record.
-            before = self._loads(self._history[-2][1]) if len(self._history) > 1 else None
-            if late is not None or before is None:
+            if late is not None or len(self._history) < 2:
                 return None
-            for (name, text, load), (_, _, load_later), (_, _, load_before) in zip(
-                newest, later, before, strict=True
+            before = self._loads(self._history[-2][1])
+            for k, (load, load_later) in enumerate(
+                zip(self._loads(newest), self._loads(ahead), strict=True)
             ):
-                above = load > limits.hard_fraction and load_before > limits.hard_fraction
+                above = load > limits.hard_fraction and before[k] > limits.hard_fraction
                 if above and load_later > load + _GROWTH:
-                    return self._hard(name, text)
+                    return self._hard(k, newest)
             return None
         # The force that is largest in size on each axis: a load between two looks counts.
         largest = forces[np.abs(forces).argmax(axis=0), np.arange(6)].tolist()
-        loads = self._loads(largest)
         invalid = self._invalid(records, forces)
-        for name, text, load in loads:
+        for k, load in enumerate(self._loads(largest)):
             if invalid is None and load > limits.hard_fraction:
-                return self._hard(name, text)
-        return late or invalid or self._soft(loads, newest, later)
+                return self._hard(k, largest)
+        return late or invalid or self._soft(largest, newest, ahead)
 
-    def _hard(self, name: str, text: str) -> Violation:
-        return Violation(
-            "force_hard", f"{name}: {text}, the hard limit is {self._limits.hard_fraction:.0%}"
-        )
+    def _hard(self, load: int, force: list[float]) -> Violation:
+        name, text = self._said(load, force)
+        limit = self._limits.hard_fraction
+        return Violation("force_hard", f"{name}: {text}, the hard limit is {limit:.0%}")
 
     def _invalid(self, records: np.ndarray, forces: np.ndarray) -> Violation | None:
         status = int(np.bitwise_or.reduce(records["status"])) & self._limits.force_status_mask
@@ -290,43 +288,41 @@ class ForceGuard:
         )
 
     def _soft(
-        self,
-        loads: list[tuple[str, str, float]],
-        newest: list[tuple[str, str, float]],
-        later: list[tuple[str, str, float]],
+        self, largest: list[float], newest: list[float], ahead: list[float]
     ) -> Violation | None:
         limit = self._limits.soft_fraction
-        for (name, text, load), (_, text_newest, load_newest), (_, text_later, load_later) in zip(
-            loads, newest, later, strict=True
-        ):
+        loads = zip(self._loads(largest), self._loads(newest), self._loads(ahead), strict=True)
+        for k, (load, load_newest, load_later) in enumerate(loads):
             if load > limit:
+                name, text = self._said(k, largest)
                 return Violation("force_soft", f"{name}: {text}, the soft limit is {limit:.0%}")
             if load_later > limit and load_later > load_newest:
+                name, text = self._said(k, newest)
                 return Violation(
                     "force_soft",
-                    f"{name}: {text_newest}, in {self._limits.horizon * 1e3:.0f} ms {text_later}, "
-                    f"the soft limit is {limit:.0%}",
+                    f"{name}: {text}, in {self._limits.horizon * 1e3:.0f} ms "
+                    f"{self._said(k, ahead)[1]}, the soft limit is {limit:.0%}",
                 )
         return None
 
-    def _loads(self, force: list[float]) -> list[tuple[str, str, float]]:
-        """Return name, text and fraction of rating of each axis, and of limited combined loads."""
+    def _loads(self, force: list[float]) -> list[float]:
+        """Return the load on each axis as a fraction of its rating, then limited combined loads."""
         rating = self._limits.force_rating
-        fractions = [abs(value) / most for value, most in zip(force, rating, strict=True)]
-        loads = [
-            (name, f"{value:.3g} {unit} ({fraction:.0%} of {most:g} {unit})", fraction)
-            for (name, unit), value, most, fraction in zip(
-                AXES, force, rating, fractions, strict=True
-            )
-        ]
+        loads = [abs(value) / most for value, most in zip(force, rating, strict=True)]
         if self._limits.combined_fraction is not None:
-            for name, total in (
-                ("Fxy and Tz together", math.hypot(fractions[0], fractions[1]) + fractions[5]),
-                ("Fz and Txy together", fractions[2] + math.hypot(fractions[3], fractions[4])),
-            ):
-                fraction = total / self._limits.combined_fraction
-                loads.append((name, f"{total:.0%} of their ratings", fraction))
+            fx, fy, fz, tx, ty, tz = loads
+            for total in (math.hypot(fx, fy) + tz, fz + math.hypot(tx, ty)):
+                loads.append(total / self._limits.combined_fraction)
         return loads
+
+    def _said(self, load: int, force: list[float]) -> tuple[str, str]:
+        """Return the name and the text of a load, by its index in `_loads`."""
+        fraction = self._loads(force)[load]
+        if load < len(AXES):
+            (name, unit), most = AXES[load], self._limits.force_rating[load]
+            return name, f"{force[load]:.3g} {unit} ({fraction:.0%} of {most:g} {unit})"
+        name = ("Fxy and Tz together", "Fz and Txy together")[load - len(AXES)]
+        return name, f"{fraction * (self._limits.combined_fraction or 1):.0%} of their ratings"
 
     def _predict(self) -> list[float] | None:
         """Return the wrench `horizon` after the newest sample, or None with too few samples.

@@ -3,15 +3,14 @@
 import ctypes
 import gc
 import os
-from contextlib import suppress
 
 from rig.core.clock import SECOND_NS
 
 # Stream processes.
 RIG_PRIORITY = 50
-# Niceness of the process that moves the arm. It waits for the controller without sleeping: with a
-# real-time priority nothing else would run on that core for up to a second.
-ARM_NICENESS = -15
+# The process that moves the arm. ur_rtde waits for an answer without sleeping, some milliseconds a
+# command, so the stream processes come first; its thread that receives the answer comes one before.
+ARM_PRIORITY = 35
 # Emulators: the devices that they replace run regardless of the host's load.
 DEVICE_PRIORITY = 60
 # Camera emulator, which draws for milliseconds at a time: below every process that must not wait.
@@ -42,12 +41,6 @@ def take_priority(priority: int) -> bool:
     except (OSError, AttributeError):
         return False
     return True
-
-
-def take_share(niceness: int) -> None:
-    """Let this thread, and those that it starts, run more than others, if the system allows it."""
-    with suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, 0, niceness)
 
 
 def may_have_priority() -> bool:

@@ -31,7 +31,6 @@ from rig.core.guard import (
     most_serious,
     outside_box,
 )
-from rig.core.realtime import ARM_NICENESS, take_share
 from rig.core.samples import POSE_LATEST
 from rig.core.shared_memory import AwaitedRecord
 from rig.devices.arm import dashboard
@@ -191,8 +190,8 @@ def _overrun(name: str, missed: int) -> Violation:
 # at the target; each of these waits has a time limit.
 
 _LOOP_HZ = 250.0
-# 25 kicks a second: one may be late before a watchdog of 10 Hz stops the arm.
-_KICK_TICKS = 10
+# Kicks in the time after which the watchdog stops the arm: one may be late.
+_KICKS = 2.5
 # Tolerance of arrival [m, rad]: several times the arm's repeatability (0.03 mm).
 _AT_TARGET, _AT_ANGLE = 2e-4, 2e-3
 # Time to come to rest at the target after the controller reports the move finished [s].
@@ -231,7 +230,7 @@ class Mover:
         self._clock = clock
         self._interrupted = interrupted
         self._pacer = Pacer(clock, _LOOP_HZ)
-        self._tick = 0
+        self._kick_every_ns = round(SECOND_NS / (_KICKS * self._config.watchdog_hz))
         self.latched: Violation | None = None
         """Safety stop after which no command is sent any more."""
 
@@ -254,10 +253,10 @@ class Mover:
             self._said_fraction = fraction
             if fraction < 1:
                 self._say(_slow(fraction))
-        self._tick += 1
-        # Nothing is sent to a controller that has fallen silent: the call could hang for 300 s.
-        due = self._tick % _KICK_TICKS == 0 and self.latched is None and self._watch.fresh()
-        if due:
+        # By the clock, as late cycles are skipped. Nothing is sent to a controller that has fallen
+        # silent: the call could hang for 300 s.
+        due = self._clock.now_ns() - self._kicked_ns >= self._kick_every_ns
+        if due and self.latched is None and self._watch.fresh():
             violation = self._kick() or violation
         return violation
 
@@ -447,7 +446,6 @@ def run(setup: Setup, pipe: Connection) -> NoReturn:
     # Ctrl-C and a closed terminal reach the whole group; only the parent decides how to react.
     for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    take_share(ARM_NICENESS)
     # ur_rtde prints to stdout, which the parent uses for its results.
     os.dup2(2, 1)
     code = 1

@@ -14,6 +14,7 @@ from typing import TypeVar
 from rtde_control import RTDEControlInterface
 
 from rig.core.errors import DeviceLost
+from rig.core.realtime import ARM_PRIORITY, take_priority
 from rig.devices.arm import dashboard, rtde
 from rig.devices.arm.settings import ArmConfig
 
@@ -41,7 +42,10 @@ class UrControl:
 
     def __init__(self, config: ArmConfig) -> None:
         self._host = config.host
+        # Threads inherit it: the one that receives answers must not wait for the one that awaits them.
+        take_priority(ARM_PRIORITY + 1)
         self._control = self._call(lambda: RTDEControlInterface(config.host, _RATE_HZ))
+        take_priority(ARM_PRIORITY)
         tcp, cog = list(config.tcp), list(config.payload_cog)
         self._require("TCP", lambda: self._control.setTcp(tcp))
         self._require("payload", lambda: self._control.setPayload(config.payload, cog))
