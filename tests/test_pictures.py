@@ -21,6 +21,7 @@ pictures = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(pictures)
 
 
+@pytest.mark.slow
 def test_lengths_and_targets_are_those_of_the_bench(tmp_path: Path) -> None:
     drawn = {}
     for sensor in ("gelsight", "tacpalm"):

@@ -195,6 +195,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_an_error_beyond_the_stated_one_and_a_failure_are_named(page: Path) -> None:
     values = json.loads(page.with_suffix(".json").read_text())["layer"]["results"]
     first, second, *_, last = values["rows"]

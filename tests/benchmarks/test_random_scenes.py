@@ -117,6 +117,7 @@ def test_a_doctored_answer_is_caught(
     assert laws <= _broken(doctored(good))
 
 
+@pytest.mark.slow
 def test_a_blade_between_two_rows_of_nodes_is_seen() -> None:
     scene = Scene(shapes.box(0.3 * MM, 12 * MM, 0.1 * MM), press([1 * MM], at=(0.25 * MM, 0.0)))
     result = _made_up(scene)
@@ -179,6 +180,7 @@ def test_a_scene_is_the_same_alone_and_among_others_and_differs_by_seed(tmp_path
     assert drawn(8, 11, tmp_path).scene != among[11].scene
 
 
+@pytest.mark.slow
 def test_the_shares_of_effects_shapes_and_bodies_are_those_of_the_groups(tmp_path: Path) -> None:
     some = [drawn(1, index, tmp_path) for index in range(60)]
     count = {name: sum(name in one.groups for one in some) for name in GROUPS}

@@ -187,6 +187,7 @@ def recorded(motion: Motion, tmp_path_factory: pytest.TempPathFactory) -> Record
     return record_motion(motion, SECONDS, tmp_path_factory.mktemp("motion") / "motion.zarr")
 
 
+@pytest.mark.slow
 def test_the_motion_presses_as_hard_and_as_often_as_it_says(motion: Motion) -> None:
     normal = -motion.wrench(np.arange(0.0, SECONDS, 1e-3))[:, 2]
     # The first press meets a relaxed layer; relaxation reduces the force of the later ones.
@@ -214,6 +215,7 @@ def test_the_recorded_motion_has_the_true_capture_times(recorded: Recorded) -> N
     assert (arrival > recorded.captured).all()
 
 
+@pytest.mark.slow
 def test_methods_rank_as_they_must(motion: Motion, recorded: Recorded) -> None:
     rows = measure_methods(Session(recorded.path), motion, recorded)
     found = {(one["stream"], one["method"]): one for one in rows}
@@ -250,6 +252,7 @@ def _with_wrench(window: Window, wrench: np.ndarray) -> Window:
     return replace(window, streams={**window.streams, "force": force})
 
 
+@pytest.mark.slow
 def test_latency_that_is_not_corrected_costs_more_the_longer_it_is(
     motion: Motion, recorded: Recorded
 ) -> None:

@@ -255,6 +255,7 @@ def test_another_file_is_never_overwritten_and_a_damaged_one_is_named(
         read_stored(out)
 
 
+@pytest.mark.slow
 def test_labels_by_simulation_are_the_target_s_where_both_twins_are_wrong_alike(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -69,6 +69,7 @@ def test_heads_cannot_grow_without_bound_and_clip_stays_in_evaluation() -> None:
     assert not ClipFeatures(tiny_pretrained().clip).train().clip.training
 
 
+@pytest.mark.slow
 def test_blurring_keeps_the_size_and_spreads_one_pixel_binomially() -> None:
     point = torch.zeros(1, 2, 6, 6)
     point[0, 0, 3, 3] = 1

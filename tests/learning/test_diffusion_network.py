@@ -35,6 +35,8 @@ from learning.translation.diffusion.train import PRESETS, TranslatorSettings, tr
 from learning.translation.diffusion.weights import WIDTHS, vendor
 from tests.support.few import few
 
+pytestmark = pytest.mark.slow
+
 LEARNING = Path(__file__).parents[2] / "learning"
 
 
@@ -196,7 +198,6 @@ def test_a_missing_extra_is_said_with_how_to_install_it(monkeypatch) -> None:
         vendor("diffusers")
 
 
-@pytest.mark.slow
 def test_full_size_networks_have_the_published_numbers_of_parameters() -> None:
     diffusers = vendor("diffusers")
     with torch.device("meta"):
@@ -212,7 +213,6 @@ def test_full_size_networks_have_the_published_numbers_of_parameters() -> None:
     assert _count(vae, adapter=True) == pytest.approx(0.88e6, abs=0.01e6)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("preset", ["ours", "authors_code"])
 def test_full_size_networks_fit_together_at_256_px(preset: str) -> None:
     settings = read_settings(TranslatorSettings, PRESETS, preset)

@@ -171,6 +171,7 @@ def test_verbs_train_both_stages_and_resume(
         run(*judged, "--set=marker_vae.steps=0", "--out", str(tmp_path / "judged"))
 
 
+@pytest.mark.slow
 def test_features_of_images_are_the_latents_of_the_marker_vae(tmp_path: Path) -> None:
     base = str(write_base(tmp_path / "base", DEEP_VAE))
     settings = tiny_vae_settings(f"weights.base={base}")

@@ -145,6 +145,7 @@ def test_judges_are_read_from_their_published_layouts(tmp_path: Path) -> None:
         read_perceptual(str(tmp_path / "lpips.pth"), str(tmp_path / "lpips.pth"))
 
 
+@pytest.mark.slow
 def test_an_authors_translator_gives_the_same_network(base: Path, tmp_path: Path) -> None:
     torch.save(_theirs(_trained()), tmp_path / "model_11501.pkl")
     kind, count = import_checkpoint(tmp_path / "model_11501.pkl", str(base), tmp_path / "run")

@@ -66,6 +66,7 @@ def scores(archive: MarkerArchive, split: Split, translated: MarkerArchive) -> T
     )
 
 
+@pytest.mark.slow
 def test_a_translator_that_shows_the_reference_scores_as_the_reference(
     scores: TranslationScores,
 ) -> None:
@@ -129,6 +130,7 @@ def test_an_untranslated_archive_is_refused(archive: MarkerArchive, split: Split
         score_translation(archive, archive["grid"], split, ["new_indenter"], MARKER_GRID)
 
 
+@pytest.mark.slow
 def test_a_report_tells_before_and_after_in_one_page_and_in_tables(
     tmp_path: Path, scores: TranslationScores
 ) -> None:

@@ -40,6 +40,8 @@ from learning.translation.translator import SensorView
 from recorder import MarkerArchive
 from tactile.run import main
 
+pytestmark = pytest.mark.slow
+
 CPU = torch.device("cpu")
 SMALL = (TINY_FORCE, "fine_tuning=[]", "scored_presses=0", "compensation=[compensated, priors]")
 
@@ -118,7 +120,6 @@ def test_an_experiment_goes_from_presses_to_a_report_and_makes_nothing_twice(
         run(archive, out, "models_per_batch=4")
 
 
-@pytest.mark.slow
 def test_pieces_side_by_side_give_what_they_give_one_after_the_other(
     archive: MarkerArchive, done: tuple[Path, list[str]], tmp_path: Path
 ) -> None:
@@ -133,7 +134,6 @@ def test_pieces_side_by_side_give_what_they_give_one_after_the_other(
     assert np.array_equal(alone.predicted, batched.predicted)
 
 
-@pytest.mark.slow
 def test_models_trained_together_say_what_those_trained_alone_say(
     archive: MarkerArchive,
     done: tuple[Path, list[str]],
@@ -149,7 +149,6 @@ def test_models_trained_together_say_what_those_trained_alone_say(
     assert not np.array_equal(alone.predicted, batched.predicted)
 
 
-@pytest.mark.slow
 def test_the_papers_translator_is_chosen_like_any_other(
     archive: MarkerArchive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -342,7 +341,6 @@ def test_mistakes_in_presets_used_later_are_refused_before_anything_is_written(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_learned_translators_are_trained_and_used(archive: MarkerArchive, tmp_path: Path) -> None:
     few = 'field={preset: cpu_smoke, set: ["field_stage.steps=2", "map_stage.steps=2"]}'
@@ -351,7 +349,6 @@ def test_learned_translators_are_trained_and_used(archive: MarkerArchive, tmp_pa
         assert (tmp_path / "results" / f"dots-to-grid.{name}.npz").is_file()
 
 
-@pytest.mark.slow
 def test_an_experiment_trains_on_labels_by_simulation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

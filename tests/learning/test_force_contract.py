@@ -105,6 +105,7 @@ def test_parts_of_a_sequence_and_single_frames_give_the_forces_of_the_whole(
     assert ((torch.cat(steps) >= 0) & (torch.cat(steps) <= 1)).all()
 
 
+@pytest.mark.slow
 def test_frames_streamed_through_torch_and_the_exported_file_give_the_forces_of_presses(
     trained: Trained,
 ) -> None:
@@ -119,6 +120,7 @@ def test_frames_streamed_through_torch_and_the_exported_file_give_the_forces_of_
         assert np.allclose(steps, whole, atol=1e-4, equal_nan=True)
 
 
+@pytest.mark.slow
 def test_a_model_of_another_package_is_trained_predicts_and_runs_live(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

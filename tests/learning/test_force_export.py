@@ -31,6 +31,7 @@ def exported(model: ForceModel, tmp_path_factory: pytest.TempPathFactory) -> Pat
     return path
 
 
+@pytest.mark.slow
 def test_a_reset_forgets_what_was_seen(exported: Path) -> None:
     stream = open_exported(exported)
     presses = noise_presses(1)

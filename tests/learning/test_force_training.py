@@ -69,6 +69,7 @@ def not_stopped(tmp_path_factory: pytest.TempPathFactory) -> tuple[ForceModel, s
     return model, (path / "metrics.jsonl").read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", few([3, 7], 1))
 def test_a_run_that_was_stopped_ends_as_one_that_was_not(
     tmp_path: Path, steps: int, not_stopped: tuple[ForceModel, str]
@@ -309,6 +310,7 @@ def test_the_loss_is_the_mean_over_labels_and_others_add_no_gradient() -> None:
     assert error(wanted, torch.full_like(wanted, torch.nan), None).item() == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("box", few(["training", "authors"], 1))
 def test_a_model_of_fz_alone_predicts_fz_alone(tmp_path: Path, box: str) -> None:
     presses = noise_presses(2)

@@ -367,6 +367,7 @@ def test_simulated_pictures_are_numbered_as_simulated_archives_are(tmp_path: Pat
         import_folder(root, tmp_path / "b.markers.zarr")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", few(["camera", "taxels"], 1))
 def test_runs_as_collected_give_the_archive_of_their_session(kind: str, tmp_path: Path) -> None:
     session = record(tmp_path / "s.zarr", kind)
@@ -458,6 +459,7 @@ def test_runs_of_force_and_depth_come_behind_the_targets_without_a_location(tmp_
     assert np.isfinite(table["wrench"]).all()
 
 
+@pytest.mark.slow
 def test_raw_runs_that_do_not_fit_are_refused_by_name(tmp_path: Path) -> None:
     export(record(tmp_path / "c.zarr"), tmp_path / "data", "genforce")
     (run,) = (tmp_path / "data" / "gelsight" / "image").iterdir()

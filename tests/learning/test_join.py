@@ -156,6 +156,7 @@ def test_depths_of_a_domed_sensor_are_below_its_surface_in_frames_curves_and_arc
     assert not surface_heights(Session(flat)).any()
 
 
+@pytest.mark.slow
 def test_a_joined_archive_holds_all_frames_and_can_be_split(tmp_path: Path) -> None:
     a = planned_archive(tmp_path / "a.markers.zarr", {"a": SMALL}, ("sphere", "own"))
     b = made_up_archive(tmp_path / "b.markers.zarr", indenters=("cone", "sphere"), force_depth=1)

@@ -20,6 +20,8 @@ from recorder.markers import find_blobs
 from sim.markers.pattern import NAMES, hexagon, named
 from tactile.__main__ import main
 
+pytestmark = pytest.mark.slow
+
 SCALE = 2
 
 
@@ -124,7 +126,6 @@ def test_every_marker_of_every_pattern_of_the_paper_belongs_to_it(name: str) -> 
     assert np.array_equal(np.flatnonzero(kept), np.arange(count))
 
 
-@pytest.mark.slow
 def test_shading_and_noise_without_markers_are_refused() -> None:
     pictures = [painted(1, markers=False, pressed=pressed)[0] for pressed in (False, True)]
     for picture in pictures:

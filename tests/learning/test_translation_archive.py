@@ -114,6 +114,7 @@ def test_another_model_does_not_go_on_with_an_archive(archive, translated):
     np.testing.assert_array_equal(translated["dots-to-grid"].packed([1]), before)
 
 
+@pytest.mark.slow
 def test_forces_of_a_twin_follow_the_frames_of_a_part_of_the_source(tmp_path):
     archive = made_up_archive(tmp_path / "a.markers.zarr", force_depth=1)
     force = np.random.default_rng(0).normal(size=(len(archive["dots"]), 3))

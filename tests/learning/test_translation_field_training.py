@@ -59,6 +59,7 @@ def trained(frames: FieldFrames) -> dict[str, Tensor]:
     return train_field(frames, SETTINGS).state_dict()
 
 
+@pytest.mark.slow
 def test_every_parameter_learns(trained: dict[str, Tensor]) -> None:
     before = untrained(SETTINGS).state_dict()
     # Weight decay moves nonzero weights: trained weights move by more than that.

@@ -43,6 +43,7 @@ def translator(request: pytest.FixtureRequest, models: Path, foreign: None) -> T
     return load_translator(models / name if (models / name).is_dir() else name)
 
 
+@pytest.mark.slow
 def test_frames_become_masks_of_the_same_count_and_device(
     translator: Translator, archive: MarkerArchive
 ) -> None:

@@ -15,6 +15,7 @@ ALLOWED = {"layer": 2e-5, "fem": 2e-4}
 PIXELS = (20.0, 0.01, 0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_the_wrenches_of_a_scene_are_the_same(name: str) -> None:
     expected, now = np.array(VALUES["wrench"][name]), wrench_of(name)

@@ -293,6 +293,7 @@ def test_an_archive_being_written_warns_and_shows_what_is_there(
     assert "warning:" in out
 
 
+@pytest.mark.slow
 def test_order_repetition_and_many_writers_do_not_matter(archive: Path, tmp_path: Path) -> None:
     path = tmp_path / "a.markers.zarr"
     writer = ArchiveWriter.begin(path, PLAN)

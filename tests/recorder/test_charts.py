@@ -74,6 +74,7 @@ def test_colours_differ_in_brightness_or_are_told_apart_without_red_and_green() 
     assert apart.min() > 25
 
 
+@pytest.mark.slow
 def test_matplotlib_is_imported_with_the_first_chart_and_without_its_global_state() -> None:
     code = """
 import io, sys

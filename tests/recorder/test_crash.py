@@ -231,6 +231,7 @@ def test_dying_in_front_of_any_file_operation_loses_nothing(
     check_every_crash_point(tmp_path, origin, lambda path: append_rows(path, make, count))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("keeps_up", few([True, False], 1), ids=["idle", "behind"])
 def test_dying_in_front_of_any_file_operation_of_a_recovery_loses_nothing(
     keeps_up: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

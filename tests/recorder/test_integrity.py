@@ -701,6 +701,7 @@ def test_a_complete_session_stays_complete_if_its_repair_is_killed_at_any_point(
         assert "rebuilding" not in Session(path).attrs
 
 
+@pytest.mark.slow
 def test_sealing_survives_a_kill_before_each_file_operation(tmp_path: Path) -> None:
     origin = make_session(tmp_path / "s.zarr", seconds=0.5, names=("force",), finish=False)
     recover_streams(origin)

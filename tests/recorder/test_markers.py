@@ -104,6 +104,7 @@ def test_a_sensor_without_contact_is_sixteen_discs_of_481_pixels_at_their_places
     assert {(column, row) for column, row in blobs.centre.tolist()} == expected
 
 
+@pytest.mark.slow
 def test_a_pixel_is_set_where_a_disc_covers_more_than_50_of_255() -> None:
     generator = np.random.default_rng(3)
     counts = generator.normal(0, [1500, 1500, 0], (6, 16, 3))

@@ -138,6 +138,7 @@ def url(request: pytest.FixtureRequest) -> str:
     return request.getfixturevalue(request.param)
 
 
+@pytest.mark.slow
 def test_everything_reads_as_it_does_from_the_disk(url: str, recorded: Path) -> None:
     far, near = Session(url), Session(recorded)
     assert (far.attrs, far.name, far.rate_hz) == (near.attrs, url, near.rate_hz)

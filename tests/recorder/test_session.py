@@ -371,6 +371,7 @@ def portable(session: Path, copy: Path) -> None:
     export(session, copy, "zarr", options=Options(images="pixels"))
 
 
+@pytest.mark.slow
 def test_a_portable_copy_holds_the_same_pixels_of_all_cameras_for_everybody(tmp_path: Path) -> None:
     done: list[tuple[int, int]] = []
     cameras = ("camera", "camera_2", "depth_1")

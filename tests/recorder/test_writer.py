@@ -56,6 +56,7 @@ def assert_holds_exactly(path: Path, rows: int, *, zarr_too: bool = True) -> Non
     np.testing.assert_array_equal(np.asarray(group["device_t"]), [r["device_t"] for r in expected])
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck))
 @given(
     parts=st.lists(

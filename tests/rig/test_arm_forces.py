@@ -75,6 +75,7 @@ def feeling(shared: Arm, force: SharedLatest) -> Arm:
     return shared
 
 
+@pytest.mark.slow
 def test_the_soft_limit_ends_a_press_which_can_be_left(feeling, force):
     def press() -> None:
         push(force, 0.9 * 10.0 if height() < 0.02 else 1.0)
@@ -86,6 +87,7 @@ def test_the_soft_limit_ends_a_press_which_can_be_left(feeling, force):
     assert feeling.move(at(0, 0, 0.025), mode="retreat").outcome == "done"
 
 
+@pytest.mark.slow
 def test_the_hard_limit_is_a_safety_stop_that_can_be_retracted_from(feeling, force):
     with pytest.raises(SafetyStop, match="hard limit"):
         feeling.move(at(0, 0, 0), on_wait=lambda: push(force, 11.0 if height() < 0.02 else 1.0))

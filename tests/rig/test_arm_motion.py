@@ -27,6 +27,8 @@ from rig.devices.arm.emulated_arm import CYCLE
 from rig.devices.arm.reader import RtdePoseDriver
 from rig.devices.arm.settings import ArmConfig
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("rtde_control", reason="no ur-rtde: pip install 'tactile-rig[rig]'")
 
 

@@ -95,6 +95,7 @@ def test_poses_and_forces_came_with_none_skipped_and_images_in_order(collected: 
     assert None not in [frame_stamp(camera.jpeg(row) or b"") for row in range(len(camera))]
 
 
+@pytest.mark.slow
 def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

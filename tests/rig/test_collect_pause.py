@@ -254,6 +254,7 @@ def interlocks_saw(folder: Path, mode: str) -> dict[str, list[object]]:
     return seen | {"again": found["seen"][-1][1:], "first press": found["seen"][1][1:]}
 
 
+@pytest.mark.slow
 def test_a_dead_man_pedal_arms_by_a_press_and_says_what_it_waits_for(tmp_path: Path) -> None:
     seen = interlocks_saw(tmp_path, "dead_man")
     assert seen["begin"] == [RELEASED, False, HOLD, []]
@@ -268,6 +269,7 @@ def test_a_dead_man_pedal_arms_by_a_press_and_says_what_it_waits_for(tmp_path: P
     assert seen["again"][1] is True
 
 
+@pytest.mark.slow
 def test_a_pause_pedal_toggles_the_pause_and_asks_for_one_when_it_is_taken_out(
     tmp_path: Path,
 ) -> None:

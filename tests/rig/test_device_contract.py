@@ -295,6 +295,7 @@ def test_a_killed_emulator_is_device_lost(place: Place) -> None:
         assert place.host in read_until_lost(driver)
 
 
+@pytest.mark.slow
 def test_a_device_that_hangs_is_lost_and_gives_fresh_samples_when_it_is_back(place: Place) -> None:
     with reading(place) as (driver, process):
         process.send_signal(signal.SIGSTOP)

@@ -44,6 +44,7 @@ def found(content: dict[str, Any], folder: Path) -> dict[str, Finding]:
     return {one.part: one for one in examine(bench, folder, folder, SystemClock())}
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 def test_a_healthy_bench_is_well_and_each_wrong_device_is_named(
     started: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

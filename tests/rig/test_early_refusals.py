@@ -46,6 +46,7 @@ def test_a_busy_port_is_found_early(folder: Path, capsys: pytest.CaptureFixture[
     assert f"127.0.0.1:{port}: Address already in use" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_mistakes_are_found_before_anything_slow_is_imported(folder: Path) -> None:
     code = """
 import sys
@@ -101,6 +102,7 @@ def test_a_value_in_another_unit_is_refused(
     assert re.search(re.escape(words), capsys.readouterr().err)
 
 
+@pytest.mark.slow
 def test_a_lab_bench_whose_devices_do_not_answer_exits_with_3_and_records_nothing(
     tmp_path: Path,
 ) -> None:

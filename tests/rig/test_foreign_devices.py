@@ -180,6 +180,7 @@ def python(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 def test_the_contract_suite_tests_devices_of_other_packages(site: Path) -> None:
     # Those of skin that differ from the gauge's by its kind.
     chosen = "line_gauge or (skin and (columns or repeated or closing or fresh))"
@@ -192,6 +193,7 @@ def test_the_contract_suite_tests_devices_of_other_packages(site: Path) -> None:
     assert int(passed[1]) >= 10 + 4
 
 
+@pytest.mark.slow
 @pytest.mark.serial
 def test_a_session_is_collected_from_devices_of_other_packages(site: Path, tmp_path: Path) -> None:
     path, truth = tmp_path / "s.zarr", tmp_path / "truth"

@@ -133,6 +133,7 @@ def test_minimalmodbus_opens_and_closes_the_fingers(
     until(lambda: status().holding)
 
 
+@pytest.mark.slow
 def test_minimalmodbus_understands_the_refusals(public: minimalmodbus.Instrument) -> None:
     assert public.serial is not None
     public.serial.timeout = 1.0  # it waits for more than a refusal has

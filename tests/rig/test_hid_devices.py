@@ -128,6 +128,7 @@ def test_a_pedal_is_pressed_released_corrupt_unplugged_and_back(
     assert "is it plugged in?" in found["lost"][1]
 
 
+@pytest.mark.slow
 def test_a_cap_is_followed_and_counts_as_let_go_of_once_silent(shim: Path, tmp_path: Path) -> None:
     node = tmp_path / "cap.hidraw"
     found = json.loads(hidraw_nodes.run(shim, SPACEMOUSE, str(node), nodes=tmp_path))

@@ -116,6 +116,7 @@ class Terminal:
         self.process.wait()
 
 
+@pytest.mark.slow
 def test_a_closed_terminal_retracts_the_arm_and_closes_the_session(tmp_path: Path) -> None:
     session, lab = tmp_path / "s.zarr", LabBench(tmp_path)
     words = ("collect", "--bench", str(lab.file), "--out", str(session), "--targets", "4")
@@ -145,6 +146,7 @@ def test_a_closed_terminal_retracts_the_arm_and_closes_the_session(tmp_path: Pat
     assert 1e3 * transform(invert(found.attrs["contact_frame"]), place)[2] > RETRACTED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("early", "answer"), [(b"", b"\x03"), (b"\nmove\nmo", b"ve\n")], ids=["ctrl-c", "typed-before"]
 )

@@ -21,6 +21,8 @@ from rig.core.packaged import BENCHES
 from rig.monitor.server import MAX_MESSAGE
 from tactile.__main__ import main
 
+pytestmark = pytest.mark.slow
+
 MOON = "day/moon.zarr"
 
 

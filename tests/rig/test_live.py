@@ -36,6 +36,8 @@ from rig.monitor.forces_page import ForcesJob, ForcesPage
 from rig.monitor.lab import Folders
 from rig.monitor.watched import GaugeBeside, Watched, mock_bench, replayed
 
+pytestmark = pytest.mark.slow
+
 # Time that the stub needs for a frame.
 WORK_NS = 5_000_000
 
@@ -342,7 +344,6 @@ def test_the_page_of_live_is_served_at_the_address_that_is_printed(
 
 
 @pytest.mark.serial
-@pytest.mark.slow
 def test_a_model_says_forces_of_a_mock_bench_until_ctrl_c(tmp_path: Path) -> None:
     model, out = tmp_path / "model", tmp_path / "forces.csv"
     write_model(model)

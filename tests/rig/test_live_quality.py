@@ -119,6 +119,7 @@ def test_a_drift_is_found(
         assert wrong(judged).keys() == ({"force"} if row == "force" and state == "fault" else set())
 
 
+@pytest.mark.slow
 def test_markers_that_are_lost_are_found_and_a_contact_may_hide_a_few(tmp_path: Path) -> None:
     with recording(GELSIGHT, tmp_path) as made:
         made.seconds(1)

@@ -14,6 +14,7 @@ from rig.core.packaged import BENCHES
 from rig.mock.bench import MockBench, free_loopback
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sensor", "devices"),
     [
@@ -49,6 +50,7 @@ def test_sources_that_are_not_there_are_refused_by_name(tmp_path: Path) -> None:
     assert description == {"camera": {"name": tmp_path.name, "motion": "still"}}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("library", "error", "text"),
     [

@@ -422,6 +422,7 @@ def test_the_emulated_wrist_has_bias_drift_and_a_wrong_gain() -> None:
     assert np.abs(late - rest)[:3].max() > 0.1
 
 
+@pytest.mark.slow
 def test_a_wrong_bench_is_stopped_below_the_rating_and_named(tmp_path: Path) -> None:
     """A longer indenter and a sensor that freezes in the search, on the simulated clock."""
     bench = bench_of("uskin")

@@ -60,12 +60,14 @@ def started(tmp_path: Path, *function: str) -> subprocess.Popen[str]:
     )
 
 
+@pytest.mark.slow
 def test_the_function_reads_what_is_typed_and_its_code_comes_back(tmp_path: Path) -> None:
     process = started(tmp_path, "reads", "7")
     assert process.communicate("move\n", timeout=240)[0] == "read 'move\\n'\n"
     assert process.returncode == 7
 
 
+@pytest.mark.slow
 def test_sigterm_is_passed_on_and_waited_for(tmp_path: Path) -> None:
     process = started(tmp_path, "waits")
     assert process.stdout is not None

@@ -345,6 +345,7 @@ def _journalled(session: Path) -> int:
     return sum(path.stat().st_size for path in session.glob("streams/force/t_ns/journal-*"))
 
 
+@pytest.mark.slow
 def test_a_driver_that_cannot_open_ends_the_replay_before_a_session_is_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -37,6 +37,7 @@ def test_nothing_is_served_unless_asked_for_and_the_port_has_a_default() -> None
         assert (access.host, access.port) == address
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
 def test_addresses_that_answer_are_printed_and_a_remote_one_has_the_token(
     host: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

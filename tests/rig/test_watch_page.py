@@ -20,6 +20,8 @@ from rig.monitor.access import AccessPolicy
 from rig.monitor.collection import CollectionView, Snapshot
 from rig.monitor.page_process import run_page
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def watched_bench(tmp_path: Path) -> Iterator[WatchedBench]:

@@ -226,6 +226,7 @@ def test_slow_and_half_open_connections_keep_nobody_waiting(running: Running) ->
             connection.close()
 
 
+@pytest.mark.slow
 def test_a_slow_reader_is_let_go_and_nobody_waits_for_it(running: Running) -> None:
     slow = socket.socket()
     slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)

@@ -219,6 +219,7 @@ def test_a_gauge_drifts_steps_and_may_have_fz_alone() -> None:
     assert Gauge(Lab()).measured(gauged(9.0)).tolist() == [0.1, 0.2, -1.0, 0.01, 0.02, 0.03]
 
 
+@pytest.mark.slow
 def test_a_camera_turns_and_follows_its_lamps(tmp_path: Path) -> None:
     plain = {"noise": None, "light": "white"}
     still = gauged(0.0)

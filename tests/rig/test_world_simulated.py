@@ -335,6 +335,7 @@ def test_a_picture_has_the_colours_that_the_bench_file_names(tmp_path: Path) -> 
     np.testing.assert_allclose(np.median(middle, axis=0), lit, rtol=0.05)
 
 
+@pytest.mark.slow
 def test_a_solver_that_fails_ends_its_process_with_the_reason(tmp_path: Path) -> None:
     settings = {
         "world": {"tier": "layer", "sensor": "gelsight", "solver": {"grid": 32}},

@@ -42,6 +42,7 @@ def press_rows(each: ArchivedSensor, indenter: str, target: int) -> np.ndarray[A
     return np.flatnonzero((code == names.index(indenter)) & (each.table["target"] == target))
 
 
+@pytest.mark.slow
 def test_an_archive_is_sound_and_its_plan_is_in_it(skins: Path) -> None:
     assert list(check(skins)) == []
     assert reopened(skins).plan == SKINS
@@ -222,6 +223,7 @@ def test_a_press_without_a_solution_is_marked_with_its_reasons_and_in_no_pair(
     )
 
 
+@pytest.mark.slow
 def test_a_press_that_another_way_solves_says_which(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -28,6 +28,8 @@ from sim.dataset.run import make_here, make_in_processes
 from sim.layer.batch import simulate_layers
 from tactile.__main__ import main
 
+pytestmark = pytest.mark.slow
+
 __all__ = ["own_grid", "solved_once"]
 
 ROOT = Path(__file__).parents[2]
@@ -117,7 +119,6 @@ def test_ctrl_c_keeps_what_is_written_and_exits_with_130(
     assert len(reopened(path).missing()) < len(units(SKINS_OF_THE_COMMAND))
 
 
-@pytest.mark.slow
 def test_the_command_tells_the_contents_before_and_the_sum_after_and_a_sheet_is_drawn(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -146,7 +147,6 @@ def in_one_process(own_grid: None, tmp_path: Path) -> dict[str, str]:
     return digests(tmp_path / "one.markers.zarr")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("maker", "processes"), [(make_in_processes, 1), (make_in_processes, 2), (make_here, 2)]
 )
@@ -163,7 +163,6 @@ def test_processes_give_the_bytes_of_one(
     assert digests(begun.path) == in_one_process
 
 
-@pytest.mark.slow
 def test_a_process_that_is_killed_is_told_of_and_loses_its_unit_alone(
     tmp_path: Path, in_one_process: dict[str, str]
 ) -> None:
@@ -193,7 +192,6 @@ def _verb(path: Path) -> subprocess.Popen[str]:
     )
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_killed_at_random_moments_and_started_again_it_is_the_same(tmp_path: Path) -> None:
     whole, torn = tmp_path / "whole.markers.zarr", tmp_path / "torn.markers.zarr"
@@ -220,7 +218,6 @@ def test_killed_at_random_moments_and_started_again_it_is_the_same(tmp_path: Pat
     assert digests(torn) == digests(whole)
 
 
-@pytest.mark.slow
 def test_ctrl_c_between_processes_ends_with_130(tmp_path: Path) -> None:
     path = tmp_path / "a.markers.zarr"
     process = _verb(path)

@@ -69,6 +69,7 @@ def test_a_round_body_is_said_and_softer_than_the_square_around_it(
     assert 0 < round_["force_n"][0] < square["force_n"][0]
 
 
+@pytest.mark.slow
 def test_the_standard_output_of_json_is_json_alone(tmp_path: Path) -> None:
     words = "-m tactile sim press --depths 0.2 --tier fem:0.3 --size 8,8,4 --json"
     done = python(*words.split(), folder=tmp_path)
@@ -76,6 +77,7 @@ def test_the_standard_output_of_json_is_json_alone(tmp_path: Path) -> None:
     assert "warp" not in done.stderr.lower()
 
 
+@pytest.mark.slow
 def test_without_json_there_is_a_table_and_a_picture(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sim", "press", "--shape", "dots", "--depths", "0.2,0.4", *QUICK]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -219,6 +221,7 @@ def test_no_solution_is_told_with_what_was_tried(
     assert list(Path().iterdir()) == []
 
 
+@pytest.mark.slow
 def test_what_was_reached_is_shown_and_kept_before_there_is_no_solution(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -238,6 +241,7 @@ def test_what_was_reached_is_shown_and_kept_before_there_is_no_solution(
     assert Path("x.png").exists()
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_with_130_and_leaves_nothing(tmp_path: Path) -> None:
     # Slow enough to be stopped: 200 depths on a mesh of 5,400 elements.
     depths = ",".join(f"{0.005 * step:g}" for step in range(1, 201))

@@ -36,6 +36,7 @@ def test_a_force_of_a_pixel_that_is_hardly_covered_is_off_as_a_whole() -> None:
     assert result.record["error"]["force"][1] >= 1.0
 
 
+@pytest.mark.slow
 def test_a_force_whose_contact_is_smaller_than_an_element_is_off_as_a_whole() -> None:
     from sim.fem import Fem
 

@@ -202,6 +202,7 @@ def test_a_direction_that_is_not_convex_is_said_and_ends_the_solve() -> None:
     assert _right(2)[0].ravel() @ solved.solution[0] > 0, "what was found still leads downhill"
 
 
+@pytest.mark.slow
 def test_rows_that_are_gathered_change_nothing() -> None:
     """Seven systems that end at seven times, one inactive: 8 rows, then 4, 2 and 1."""
     matrices = np.stack([_symmetric(np.geomspace(1, 4**k, SIZE), k) for k in range(1, 9)])

@@ -131,6 +131,7 @@ def test_torque_is_about_the_tip_and_traction_adds_up_to_the_force() -> None:
     assert result.wrench[-1, 3:] == pytest.approx(torque, abs=2e-3 * np.abs(torque).max())
 
 
+@pytest.mark.slow
 def test_force_scales_with_modulus_and_squared_size_and_mass_counts_in_a_fast_press_alone() -> None:
     def force(modulus: float = 1e5, size: float = 1.0, speed: float = 1e-3, **more: Any) -> float:
         body = Body(8e-3 * size, 8e-3 * size, 4e-3 * size, modulus=modulus)

@@ -31,6 +31,8 @@ from sim.layer import Layer
 from sim.result import Outcome, force_scale
 from trajectories import Point
 
+pytestmark = pytest.mark.slow
+
 SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
 SPACING = 4e-3 / 3
 COARSE = Fem(spacing=SPACING, precision="float64")
@@ -98,7 +100,6 @@ def test_a_skin_that_has_not_come_back_lets_go_of_a_lifted_tip() -> None:
             raise outcome_of_path(*tips)  # type: ignore[misc]
 
 
-@pytest.mark.slow
 def test_a_shallow_ramp_and_hold_relaxes_as_lee_and_radok_say() -> None:
     """Force of the elastic press on the same mesh, passed through the hereditary integral."""
     motion = press([0.15e-3], hold=0.4, steps=4, speed=0.15e-3 / 0.1)
@@ -209,7 +210,6 @@ def test_without_a_companion_for_later_frames_their_error_by_time_steps_is_large
     assert none.force.min() >= 0.3
 
 
-@pytest.mark.slow
 def test_a_body_let_go_swings_at_the_frequency_of_its_thickness() -> None:
     """Pressed uniformly, then released: the middle oscillates before waves from the sides arrive.
 
@@ -239,7 +239,6 @@ def test_a_body_let_go_swings_at_the_frequency_of_its_thickness() -> None:
 
 
 @pytest.mark.parametrize("speed", [20e-3, 2e-3])
-@pytest.mark.slow
 def test_what_viscosity_takes_is_told_the_same_by_few_and_by_many_steps(speed: float) -> None:
     scene = Scene(sphere(3e-3), press([0.6e-3, 0.1e-3], speed=speed), SMALL, _viscous())
     fine = Fem(spacing=SPACING, step_travel=4e-3 / 200)

@@ -42,6 +42,7 @@ SLOW: dict[str, list[pytest.MarkDecorator]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", [_case(path) for path in FOUND])
 def test_a_scene_once_found_is_no_longer_silently_wrong(path: Path) -> None:
     scene = from_json(Scene, json.loads(path.read_text(encoding="utf-8"))["scene"], "scene")

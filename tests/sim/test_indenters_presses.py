@@ -21,6 +21,8 @@ from sim.store import load_result, save_results
 from tactile.__main__ import main
 from tests.support.few import few
 
+pytestmark = pytest.mark.slow
+
 if TYPE_CHECKING:
     from sim.tiers import Tier
 
@@ -51,7 +53,6 @@ def ball(tmp_path_factory: pytest.TempPathFactory) -> Indenter:
     return from_stl(path, edge_radius=0.0, spacing=0.15e-3, reach=3e-3)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("shape", ["ball", "block", "leaning block"])
 @pytest.mark.parametrize(
     ("tier", "tolerance"), [(Layer(), 0.01), (COARSE, 0.02)], ids=["layer", "fem"]
@@ -85,7 +86,6 @@ def test_an_indenter_presses_alike_by_name_and_from_a_file_of_flat_facets(
     np.testing.assert_allclose(found, expected, rtol=0.01)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cone", "cylinder_sh", "hemisphere", "moon", "sphere"])
 def test_meshes_see_the_same_indenter_by_name_and_from_a_file(name: str, tmp_path: Path) -> None:
     path = files.write_binary(tmp_path / f"{name}.stl", files.as_published(name, 28))
@@ -142,7 +142,6 @@ def test_a_result_can_be_read_without_the_file_that_it_was_made_with(
     np.testing.assert_array_equal(kept.surface, result.surface)
 
 
-@pytest.mark.slow
 def test_the_command_line_presses_a_file_that_leans(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -203,7 +202,6 @@ def test_the_command_line_says_what_is_wrong_with_a_file_or_a_tilt(
     assert [path.name for path in tmp_path.iterdir()] == ["cut.stl"]
 
 
-@pytest.mark.slow
 def test_fem_presses_a_leaning_sphere_like_one_that_stands_where_it_leans_to() -> None:
     about = math.radians(8)
     aside = 4e-3 * math.sin(about)
@@ -220,7 +218,6 @@ def test_fem_presses_a_leaning_sphere_like_one_that_stands_where_it_leans_to() -
     np.testing.assert_allclose(found.wrench[1, 3:], torque, atol=2e-5)
 
 
-@pytest.mark.slow
 def test_scenes_of_every_kind_of_indenter_are_solved_in_one_call(block: Indenter) -> None:
     indenters = [named("cylinder"), block, named("cylinder").tilted(*TILT), block.tilted(*TILT)]
     scenes = [Scene(one, press([0.4e-3])) for one in indenters]
@@ -230,7 +227,6 @@ def test_scenes_of_every_kind_of_indenter_are_solved_in_one_call(block: Indenter
         np.testing.assert_allclose(outcome.force, alone.force, rtol=1e-3, atol=1e-4)
 
 
-@pytest.mark.slow
 def test_mpm_presses_a_body_from_a_file_like_the_exact_one(block: Indenter) -> None:
     body = Body(size_x=10e-3, size_y=10e-3, thickness=4e-3)
     numerics = Mpm(cell=0.5e-3)

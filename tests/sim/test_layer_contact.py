@@ -112,6 +112,7 @@ def test_a_mirrored_press_is_a_mirrored_result() -> None:
     np.testing.assert_allclose(one.surface[-1], mirrored, atol=1e-3 * scale)
 
 
+@pytest.mark.slow
 def test_a_dome_under_a_plate_is_a_flat_body_under_a_sphere() -> None:
     body = Body(size_x=12e-3, size_y=12e-3)
     domed = replace(body, dome_radius=40e-3)

@@ -49,6 +49,7 @@ def small() -> Result:
     return _one(SCENE)
 
 
+@pytest.mark.slow
 def test_a_coarse_press_is_within_the_methods_known_error(coarse: Result) -> None:
     error = -coarse.force[1:, 2] / np.array(FORCE) - 1
     # O(cell): too stiff at first contact, too soft at depth. Finite elements are within 4 % here.
@@ -136,6 +137,7 @@ def test_a_slipping_plane_drags_with_its_coefficient_times_the_pressure() -> Non
     assert abs(force[1]) < 1e-3 * force[0]
 
 
+@pytest.mark.slow
 def test_the_authors_sticking_contact_drags_the_surface_along() -> None:
     way = [(0.0, 0.0, 0.0), (0.0, 0.0, -0.3e-3), (0.2e-3, 0.0, -0.3e-3)]
     scene = Scene(sphere(4e-3), through(way, speed=0.02), Body(4e-3, 4e-3, 2e-3))
@@ -195,6 +197,7 @@ def test_an_unstable_time_step_diverges_and_gives_nothing(monkeypatch: pytest.Mo
     assert "Courant number 2" in str(outcome)
 
 
+@pytest.mark.slow
 def test_a_press_that_is_not_quasi_static_or_loosely_sampled_says_so(small: Result) -> None:
     assert small.record["warnings"] == []
     fast = replace(SCENE, motion=press([0.1e-3], speed=0.05))

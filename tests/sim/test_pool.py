@@ -52,6 +52,7 @@ def command(pid: int) -> bytes:
         return b""
 
 
+@pytest.mark.slow
 def test_two_processes_give_the_same_bits_in_the_same_order_and_print_nothing(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
@@ -218,6 +219,7 @@ def group(leader: int) -> list[int]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_signal", [signal.SIGINT, signal.SIGKILL])
 def test_workers_do_not_outlive_their_parent(tmp_path: Path, with_signal: signal.Signals) -> None:
     parent = script(tmp_path, 'if __name__ == "__main__":')

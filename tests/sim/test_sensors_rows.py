@@ -45,6 +45,7 @@ def test_skins_grow_softer_with_their_ratio() -> None:
     assert moduli == [3.0e5, 2.5e5, 2.1e5, 1.8e5, 1.55e5, 1.35e5, 1.2e5]
 
 
+@pytest.mark.slow
 def test_forces_and_losses_of_the_three_kinds_are_those_that_they_were_fitted_to() -> None:
     peaks = {}
     for name, lost in (("uskin", 0.12), ("gelsight", 0.15), ("tacpalm", 0.15)):

@@ -10,6 +10,7 @@ from support.commands import python
 from sim.device import check_device, kernel, loaded_together
 
 
+@pytest.mark.slow
 def test_a_press_that_is_only_printed_imports_no_zarr() -> None:
     program = (
         "import sys; from tactile.__main__ import main; "

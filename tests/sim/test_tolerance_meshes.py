@@ -172,6 +172,7 @@ def test_meshes_that_follow_their_contacts_may_have_one_topology() -> None:
     assert cells[0] == cells[1]
 
 
+@pytest.mark.slow
 def test_a_press_without_a_solution_goes_on_with_a_skin_that_stiffens(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -56,6 +56,8 @@ from sim.twin.plan import Planner, cost, planned_presses, sessions
 from sim.twin.record import lines, plan_files, twin_yaml
 from tactile.__main__ import main
 
+pytestmark = pytest.mark.slow
+
 # A fit takes some 20 s of a free core.
 
 COARSE = 24
@@ -211,7 +213,6 @@ def test_a_tilt_that_presses_do_not_tell_is_named(fit: Fit) -> None:
     assert line.endswith("not told by these presses, the prior's")
 
 
-@pytest.mark.slow
 def test_processes_solve_what_one_does(fit: Fit) -> None:
     tilted = {**fit.values, "tilt_x": 0.01}
     with Workers(2) as workers:
@@ -307,7 +308,6 @@ def test_images_of_another_sensor_are_refused_in_pixels(
     assert not out.exists()
 
 
-@pytest.mark.slow
 def test_presses_at_three_places_tell_the_tilt() -> None:
     one = planned_presses("sphere", (1.0e-3,), 0.6e-3, 0.6)
     apart = replace(one, plan=replace(one.plan, points=(1, 2, 3), step_x=4e-3, step_y=4e-3))
@@ -325,7 +325,6 @@ def test_expected_intervals_are_those_of_a_fit(fit: Fit) -> None:
         assert 0.5 < fit.spreads[name] / found < 2.0, name
 
 
-@pytest.mark.slow
 def test_two_indenters_find_a_skin_as_narrowly_as_planned() -> None:
     tracks = [
         observed(planted(), SHORT[name], BENCH, seed, LAYER)
@@ -344,7 +343,6 @@ def test_two_indenters_find_a_skin_as_narrowly_as_planned() -> None:
     assert all(expected[name] < alone[name] for name in ("modulus", "thickness", "friction"))
 
 
-@pytest.mark.slow
 def test_a_plan_tells_more_than_sphere_and_prism_in_the_same_time() -> None:
     planner = Planner(sensor("gelsight"), grid=16)
     usual = planner.usual()
@@ -378,7 +376,6 @@ def test_a_plan_is_a_campaign_that_the_rig_takes(tmp_path: Path) -> None:
         np.testing.assert_allclose(bottoms, [target.sheared for target in each.plan.targets()])
 
 
-@pytest.mark.slow
 def test_the_command_writes_a_plan_and_what_to_expect(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -507,7 +504,6 @@ def test_relaxing_is_the_convolution_with_an_exponential() -> None:
     assert relaxing(time, ramp, 0.5)[:, 2] == pytest.approx(exact, rel=1e-12)
 
 
-@pytest.mark.slow
 def test_forces_that_no_skin_explains_are_refused(
     press: tuple[Any, Any, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -543,7 +539,6 @@ def test_presses_without_a_rest_are_refused(
         assert words in capsys.readouterr().err
 
 
-@pytest.mark.slow
 def test_an_archive_has_sensors_drawn_from_a_twin(fit: Fit, tmp_path: Path) -> None:
     from sim.dataset import reopened
 
@@ -561,7 +556,6 @@ def test_an_archive_has_sensors_drawn_from_a_twin(fit: Fit, tmp_path: Path) -> N
     )
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_true_forces_may_be_those_of_another_tier() -> None:
     shallow = planned_presses("sphere", (0.5e-3,), 0.3e-3, 0.6)
@@ -586,7 +580,6 @@ def test_corrected_forces_are_the_true_ones_and_scale_with_stiffness_and_modulus
     assert more[told, 2] == pytest.approx(1.1 * true[told, 2])
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_a_skin_at_large_strain_is_found_by_tier_fem() -> None:
     deep = planned_presses("prism", (1.2e-3,), 0.5e-3, 1.2)
@@ -603,7 +596,6 @@ def test_a_skin_at_large_strain_is_found_by_tier_fem() -> None:
     assert posterior.tier == "fem"
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("number", [94, 125])
 def test_a_skin_in_a_long_valley_of_explanations_is_found(number: int) -> None:

@@ -29,6 +29,8 @@ from sim.twin import CameraFit, MarkerObservations, PressTrack, marker_observati
 from sim.twin.camera import Scenery, differences, layouts, nearest, unmirrored
 from sim.twin.record import twin_yaml
 
+pytestmark = pytest.mark.slow
+
 DESIGN = Camera.of_scale(0.0249)
 TRUE = Camera(
     1.1 * DESIGN.focal, 1.155 * DESIGN.distance, (16.0, -9.0), np.radians(2.0)

@@ -65,6 +65,7 @@ print("loaded:", sorted(known & {{"numpy", "zarr", "argparse", *{OURS!r}}} | oth
     assert python("-c", code).stdout.splitlines()[-1] == "loaded: []"
 
 
+@pytest.mark.slow
 def test_a_command_loads_its_own_package_alone() -> None:
     code = """
 import contextlib, sys
@@ -190,6 +191,7 @@ def test_every_library_is_of_the_base_or_of_an_extra_that_exists() -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_missing_library_of_pictures_is_named_with_the_command_that_installs_it(
     tmp_path: Path,
 ) -> None:
