@@ -21,6 +21,8 @@ from benchmarks.independent.profile import Profile, cone, punch, sphere, torus, 
 from benchmarks.independent.references import COARSE, answers, fine_zones, profile_of, touched, way
 from benchmarks.report import Page
 
+pytestmark = pytest.mark.slow
+
 MM = 1e-3
 POISSON = 0.45
 AXISYMMETRIC = [press for press in PRESSES if press.axisymmetric]
@@ -59,7 +61,6 @@ def test_a_plane_presses_a_sliding_disc_uniaxially() -> None:
     assert answer.balance < 1e-6
 
 
-@pytest.mark.slow
 def test_a_moving_plane_meets_the_impedance_of_a_column_and_then_its_reflected_wave() -> None:
     """A column without Poisson's effect: c = sqrt(E / rho), pressure rho c v, then 3 rho c v."""
     layer = Layer(3 * MM, 4 * MM, MODULUS, 0.0, sliding=True)
@@ -85,7 +86,6 @@ def coarsely(press: Press) -> list[float]:
     return [answer.force for answer in answers(press, press.size[0] / 2 * MM, COARSE)]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("radius", "thickness"), [(4, 4), (10, 1)])
 def test_small_presses_follow_the_integral_equation(radius: float, thickness: float) -> None:
     layer = LinearLayer(thickness * MM, MODULUS, POISSON)
@@ -94,7 +94,6 @@ def test_small_presses_follow_the_integral_equation(radius: float, thickness: fl
     assert force == pytest.approx([exact], rel=4e-3)
 
 
-@pytest.mark.slow
 def test_a_punch_with_a_small_edge_nears_the_sharp_one() -> None:
     """The rounded edge reduces the effective radius by about its part that is not in contact."""
     depth = 2e-3
@@ -105,13 +104,11 @@ def test_a_punch_with_a_small_edge_nears_the_sharp_one() -> None:
     assert within < forces[0.2]
 
 
-@pytest.mark.slow
 def test_the_bench_sphere_has_its_known_forces() -> None:
     forces = coarsely(a_press("sphere", (4,), 4, 0.5, 1, 1.5))
     assert forces == pytest.approx([0.2662, 0.9267, 1.977], rel=1.5e-3)
 
 
-@pytest.mark.slow
 def test_friction_that_never_slips_is_the_limit_of_much_friction() -> None:
     layer = Layer(8 * MM, 2 * MM)
     press = a_press("sphere", (2,), 2, 0.4)
@@ -195,7 +192,6 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.slow
 def test_an_error_beyond_the_stated_one_and_a_failure_are_named(page: Path) -> None:
     values = json.loads(page.with_suffix(".json").read_text())["layer"]["results"]
     first, second, *_, last = values["rows"]
@@ -207,7 +203,6 @@ def test_an_error_beyond_the_stated_one_and_a_failure_are_named(page: Path) -> N
     assert f"No solution of {last['case']}: it folds" in text
 
 
-@pytest.mark.slow
 def test_skin_at_a_sharp_edge_without_friction_is_smooth_on_coarse_meshes_only() -> None:
     """It leaves the edge in one row of elements; forces hardly notice.
 

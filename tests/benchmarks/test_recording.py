@@ -45,6 +45,8 @@ from recorder.session.align import align_window
 from rig.core.errors import ConfigError
 from tests.support.few import few
 
+pytestmark = pytest.mark.slow
+
 SECONDS = 3.0
 
 
@@ -107,7 +109,6 @@ def test_unsealed_frames_are_read_without_repair_and_after_it(key: str, tmp_path
     assert after == {"left": [0, 1, 2, 3, 4], "error": "", "repaired": [0, 1, 2, 3, 4]}
 
 
-@pytest.mark.slow
 def test_a_real_kill_loses_no_accepted_frame_of_ours(tmp_path: Path) -> None:
     after = comparison.kill(OURS, tmp_path, 0)
     assert after["accepted"] >= 70
@@ -130,7 +131,6 @@ def test_a_measuring_process_that_fails_gives_its_error(tmp_path: Path) -> None:
 # Streams at their rates
 
 
-@pytest.mark.slow
 def test_feeds_are_recorded_whole_at_their_rates(tmp_path: Path) -> None:
     feeds = [Feed("camera", 60.0, "jpeg"), Feed("force", 1000.0), Feed("taxels", 60.0)]
     for feed, one in zip(feeds, record(feeds, 0.5, tmp_path / "load"), strict=True):
@@ -187,7 +187,6 @@ def recorded(motion: Motion, tmp_path_factory: pytest.TempPathFactory) -> Record
     return record_motion(motion, SECONDS, tmp_path_factory.mktemp("motion") / "motion.zarr")
 
 
-@pytest.mark.slow
 def test_the_motion_presses_as_hard_and_as_often_as_it_says(motion: Motion) -> None:
     normal = -motion.wrench(np.arange(0.0, SECONDS, 1e-3))[:, 2]
     # The first press meets a relaxed layer; relaxation reduces the force of the later ones.
@@ -215,7 +214,6 @@ def test_the_recorded_motion_has_the_true_capture_times(recorded: Recorded) -> N
     assert (arrival > recorded.captured).all()
 
 
-@pytest.mark.slow
 def test_methods_rank_as_they_must(motion: Motion, recorded: Recorded) -> None:
     rows = measure_methods(Session(recorded.path), motion, recorded)
     found = {(one["stream"], one["method"]): one for one in rows}
@@ -252,7 +250,6 @@ def _with_wrench(window: Window, wrench: np.ndarray) -> Window:
     return replace(window, streams={**window.streams, "force": force})
 
 
-@pytest.mark.slow
 def test_latency_that_is_not_corrected_costs_more_the_longer_it_is(
     motion: Motion, recorded: Recorded
 ) -> None:
@@ -266,7 +263,6 @@ def test_latency_that_is_not_corrected_costs_more_the_longer_it_is(
 # Windows for a training
 
 
-@pytest.mark.slow
 def test_all_ways_read_the_same_images(tmp_path: Path) -> None:
     loading.make(tmp_path, 0, 0.6)
     windows, files = loading.opened("ours", tmp_path), loading.opened("plain", tmp_path)
@@ -311,7 +307,6 @@ def test_goals_are_missed_when_the_figures_say_so() -> None:
 # The command
 
 
-@pytest.mark.slow
 def test_ctrl_c_leaves_no_store_on_the_disk_and_no_process(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "benchmarks", "recording", "--quick", "--only", "stores"]
     environment = {"TMPDIR": str(tmp_path), "PATH": "/usr/bin:/bin"}
@@ -338,7 +333,6 @@ def test_ctrl_c_leaves_no_store_on_the_disk_and_no_process(tmp_path: Path) -> No
 
 
 @pytest.mark.serial
-@pytest.mark.slow
 def test_the_whole_quick_run_writes_every_part(tmp_path: Path) -> None:
     assert main(["recording", "--quick", "--out", str(tmp_path / "recording.md")]) == 0
     text = (tmp_path / "recording.md").read_text()

@@ -28,6 +28,8 @@ from recorder.markers import marker_centres, unpack
 from tactile.__main__ import main
 from trajectories import PressShear, plan_to_json
 
+pytestmark = pytest.mark.slow
+
 OWN = "dark-markers"
 CONE = {"indenter": "cone"}
 # Counts without contact, of which one is missing.
@@ -62,7 +64,6 @@ def hidden(session: Path) -> Any:
     return np.isin(Session(session).frames["image"], list(HIDDEN))
 
 
-@pytest.mark.slow
 def test_labels_are_those_of_the_frames(archive: MarkerArchive, camera: Path) -> None:
     frames, table = Session(camera).frames, archive["gelsight"].table
     for name in ("wrench", "phase", "t_ns", "target"):
@@ -133,7 +134,6 @@ def test_a_turned_contact_frame_turns_positions(camera: Path, tmp_path: Path) ->
     assert np.abs(position[:, 1]).max() > 4e-4
 
 
-@pytest.mark.slow
 def test_sensors_of_one_plan_are_paired_by_location(
     camera: Path, taxels: Path, tmp_path: Path
 ) -> None:
@@ -281,7 +281,6 @@ def test_two_kinds_of_device_are_not_one_sensor(camera: Path, taxels: Path, tmp_
         archive_sessions([camera, other], tmp_path / "a.markers.zarr", sensor="both")
 
 
-@pytest.mark.slow
 def test_shading_taken_for_markers_is_refused_unless_they_are_said_to_be_irregular(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -332,7 +331,6 @@ def test_a_preset_that_does_not_fit_is_refused(
     assert not (tmp_path / "a.markers.zarr").exists()
 
 
-@pytest.mark.slow
 def test_the_command_makes_an_archive_and_a_sheet(
     camera: Path, taxels: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -28,6 +28,8 @@ from learning.translation.field.train import (
 from learning.translation.field.translator import FieldTranslator
 from recorder import MarkerArchive
 
+pytestmark = pytest.mark.slow
+
 STAGES = ("field_stage", "map_stage")
 
 
@@ -59,7 +61,6 @@ def trained(frames: FieldFrames) -> dict[str, Tensor]:
     return train_field(frames, SETTINGS).state_dict()
 
 
-@pytest.mark.slow
 def test_every_parameter_learns(trained: dict[str, Tensor]) -> None:
     before = untrained(SETTINGS).state_dict()
     # Weight decay moves nonzero weights: trained weights move by more than that.
@@ -73,7 +74,6 @@ def test_every_parameter_learns(trained: dict[str, Tensor]) -> None:
     assert trained["usual_scale"].tolist() == pytest.approx([MM_PER_PX, MM_PER_PX])
 
 
-@pytest.mark.slow
 def test_the_field_net_stays_as_it_is_while_the_map_learns(frames: FieldFrames) -> None:
     settings = tiny(**steps(0, 2))
     before = untrained(settings).net.state_dict()
@@ -81,7 +81,6 @@ def test_the_field_net_stays_as_it_is_while_the_map_learns(frames: FieldFrames) 
     assert all(torch.equal(value, before[name]) for name, value in after.items())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("stopped_after", [3, 5, 7])
 def test_a_training_that_was_stopped_ends_as_one_that_was_not(
     frames: FieldFrames, trained: dict[str, Tensor], tmp_path: Path, stopped_after: int
@@ -126,7 +125,6 @@ def test_weights_of_another_network_are_refused(frames: FieldFrames, tmp_path: P
         load_translator(tmp_path / "a")
 
 
-@pytest.mark.slow
 def test_the_command_trains_a_model_that_translates(archive: MarkerArchive, tmp_path: Path) -> None:
     make_split(archive).write(tmp_path / "split.json")
     sets = [f"--set={key}={value}" for key, value in (TINY | steps(1, 1)).items()]
@@ -145,7 +143,6 @@ def test_the_command_trains_a_model_that_translates(archive: MarkerArchive, tmp_
         run_module(train_field_verb, *command, "--set=seed=1")
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_one_batch_is_learned_by_heart(frames: FieldFrames) -> None:
     four = {name: getattr(frames, name)[:4] for name in ("images", "sensor", "reference")}
@@ -158,7 +155,6 @@ def test_one_batch_is_learned_by_heart(frames: FieldFrames) -> None:
     assert scores["dice_still"] < 0.9
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_patterns_and_indenters_never_seen_are_better_than_without_a_warp(tmp_path: Path) -> None:
     sensors = ("dots", "grid", "diamonds", "dense")

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from net.values import EXPECTED, SCENES, SENSORS, masks_of, wrench_of
 
+pytestmark = pytest.mark.slow
+
 VALUES = json.loads(EXPECTED.read_text())
 # Of the largest force of a scene. A state of `fem` is accepted with 1e-4 of it out of balance, so
 # another way to the same state may change it by about as much; `layer` has rounding alone, which
@@ -15,7 +17,6 @@ ALLOWED = {"layer": 2e-5, "fem": 2e-4}
 PIXELS = (20.0, 0.01, 0.01)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_the_wrenches_of_a_scene_are_the_same(name: str) -> None:
     expected, now = np.array(VALUES["wrench"][name]), wrench_of(name)

@@ -131,6 +131,7 @@ RECORDED: dict[str, tuple[str, str, Callable[[str, Columns], Columns]]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", RECORDED)
 def test_a_fault_in_what_was_recorded_is_found_and_only_it(fault: str, tmp_path: Path) -> None:
     code, where, change = RECORDED[fault]

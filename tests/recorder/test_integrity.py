@@ -36,6 +36,8 @@ from recorder.store.layout import StreamLayout, create_stream
 from recorder.store.manifest import seal
 from tactile.__main__ import main
 
+pytestmark = pytest.mark.slow
+
 
 def columns_of(stream: Stream) -> dict[str, Any]:
     found = {name: stream.array(name) for name in stream.small}
@@ -541,7 +543,6 @@ def test_a_file_removed_cut_or_replaced_is_named(
     assert losses(copy_of(kind), other, kind, every=9) > 20
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_file_removed_cut_or_replaced_is_named(
@@ -701,7 +702,6 @@ def test_a_complete_session_stays_complete_if_its_repair_is_killed_at_any_point(
         assert "rebuilding" not in Session(path).attrs
 
 
-@pytest.mark.slow
 def test_sealing_survives_a_kill_before_each_file_operation(tmp_path: Path) -> None:
     origin = make_session(tmp_path / "s.zarr", seconds=0.5, names=("force",), finish=False)
     recover_streams(origin)

@@ -22,6 +22,8 @@ from recorder.convert import export
 from recorder.store.files import join_ranges
 from tactile.__main__ import main
 
+pytestmark = pytest.mark.slow
+
 get_loop()  # fsspec keeps one thread for the life of the process
 
 
@@ -138,7 +140,6 @@ def url(request: pytest.FixtureRequest) -> str:
     return request.getfixturevalue(request.param)
 
 
-@pytest.mark.slow
 def test_everything_reads_as_it_does_from_the_disk(url: str, recorded: Path) -> None:
     far, near = Session(url), Session(recorded)
     assert (far.attrs, far.name, far.rate_hz) == (near.attrs, url, near.rate_hz)

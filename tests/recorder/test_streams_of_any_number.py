@@ -44,6 +44,8 @@ from recorder.info import describe, digests
 from recorder.spec import KINDS
 from tests.support.few import few
 
+pytestmark = pytest.mark.slow
+
 Mixed = tuple[Path, tuple[str, ...]]
 
 FOUR = ("camera", "force", "pose", "taxels")

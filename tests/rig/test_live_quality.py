@@ -11,6 +11,8 @@ from rig.core.config import read_yaml
 from rig.core.packaged import BENCHES
 from rig.monitor.quality import LiveQuality, QualityRow
 
+pytestmark = pytest.mark.slow
+
 
 def wrong(judged: dict[str, QualityRow]) -> dict[str, tuple[str, str]]:
     return {name: (row.state, row.text) for name, row in judged.items() if row.state != "good"}
@@ -119,7 +121,6 @@ def test_a_drift_is_found(
         assert wrong(judged).keys() == ({"force"} if row == "force" and state == "fault" else set())
 
 
-@pytest.mark.slow
 def test_markers_that_are_lost_are_found_and_a_contact_may_hide_a_few(tmp_path: Path) -> None:
     with recording(GELSIGHT, tmp_path) as made:
         made.seconds(1)

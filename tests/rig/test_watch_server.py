@@ -19,6 +19,8 @@ from rig.monitor.access import AccessPolicy
 from rig.monitor.collection import COMMANDS, CollectionPage
 from rig.monitor.server import ANSWER_TIMEOUT, MAX_MESSAGES, MAX_WATCHERS, parse_message
 
+pytestmark = pytest.mark.slow
+
 PRESSED = (0.3, 0.0, -1.7, 0.0, 0.06, 0.0)
 
 
@@ -226,7 +228,6 @@ def test_slow_and_half_open_connections_keep_nobody_waiting(running: Running) ->
             connection.close()
 
 
-@pytest.mark.slow
 def test_a_slow_reader_is_let_go_and_nobody_waits_for_it(running: Running) -> None:
     slow = socket.socket()
     slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -255,7 +256,6 @@ def test_a_slow_reader_is_let_go_and_nobody_waits_for_it(running: Running) -> No
     assert len(set(rows)) >= 3
 
 
-@pytest.mark.slow
 def test_a_connection_that_stays_silent_is_closed(running: Running) -> None:
     with socket.create_connection(("127.0.0.1", running.page.port)) as client:
         client.sendall(b"GET / HTTP/1.1\r\n")

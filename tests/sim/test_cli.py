@@ -25,6 +25,8 @@ from sim.store import load_result
 from sim.tiers import simulate
 from tactile.__main__ import main
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "reference" / "simulation.md").read_text()
 QUICK = ["--tier", "layer"]
@@ -58,7 +60,6 @@ def test_a_press_tells_the_force_at_the_depths_it_was_asked_for(
     assert list(Path().iterdir()) == []
 
 
-@pytest.mark.slow
 def test_a_round_body_is_said_and_softer_than_the_square_around_it(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -69,7 +70,6 @@ def test_a_round_body_is_said_and_softer_than_the_square_around_it(
     assert 0 < round_["force_n"][0] < square["force_n"][0]
 
 
-@pytest.mark.slow
 def test_the_standard_output_of_json_is_json_alone(tmp_path: Path) -> None:
     words = "-m tactile sim press --depths 0.2 --tier fem:0.3 --size 8,8,4 --json"
     done = python(*words.split(), folder=tmp_path)
@@ -77,7 +77,6 @@ def test_the_standard_output_of_json_is_json_alone(tmp_path: Path) -> None:
     assert "warp" not in done.stderr.lower()
 
 
-@pytest.mark.slow
 def test_without_json_there_is_a_table_and_a_picture(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sim", "press", "--shape", "dots", "--depths", "0.2,0.4", *QUICK]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -221,7 +220,6 @@ def test_no_solution_is_told_with_what_was_tried(
     assert list(Path().iterdir()) == []
 
 
-@pytest.mark.slow
 def test_what_was_reached_is_shown_and_kept_before_there_is_no_solution(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -241,7 +239,6 @@ def test_what_was_reached_is_shown_and_kept_before_there_is_no_solution(
     assert Path("x.png").exists()
 
 
-@pytest.mark.slow
 def test_ctrl_c_ends_with_130_and_leaves_nothing(tmp_path: Path) -> None:
     # Slow enough to be stopped: 200 depths on a mesh of 5,400 elements.
     depths = ",".join(f"{0.005 * step:g}" for step in range(1, 201))
@@ -273,7 +270,6 @@ COMMANDS = [
 ]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_commands_of_the_documentation_run(
     command: str, capsys: pytest.CaptureFixture[str]
@@ -294,7 +290,6 @@ def test_the_commands_of_the_tutorial_are_understood() -> None:
         assert indenter_of(parser.parse_args(words)).parts
 
 
-@pytest.mark.slow
 def test_the_python_of_the_documentation_runs() -> None:
     names: dict[str, object] = {}
     source = "\n".join(_blocks("python"))

@@ -15,6 +15,8 @@ from sim.mpm.solver import end_of_line, simulate_mpm
 from sim.scene import through
 from sim.store import load_result, save_results
 
+pytestmark = pytest.mark.slow
+
 # Depths, and the force there on the paper's gel, frictionless [N]; two element families agree to
 # 0.1 %.
 DEPTHS, FORCE = (0.5e-3, 1.0e-3, 1.5e-3), (0.2652, 0.9197, 1.9560)
@@ -49,7 +51,6 @@ def small() -> Result:
     return _one(SCENE)
 
 
-@pytest.mark.slow
 def test_a_coarse_press_is_within_the_methods_known_error(coarse: Result) -> None:
     error = -coarse.force[1:, 2] / np.array(FORCE) - 1
     # O(cell): too stiff at first contact, too soft at depth. Finite elements are within 4 % here.
@@ -103,7 +104,6 @@ def test_on_a_gpu_a_run_repeats_to_the_last_bit_and_is_the_cpus_to_five_digits(
     np.testing.assert_allclose(runs[0].force, small.force, atol=5e-5 * np.abs(small.force).max())
 
 
-@pytest.mark.slow
 def test_a_press_in_a_batch_is_the_press_alone_to_the_last_bit(small: Result) -> None:
     stiff = replace(SMALL, modulus=1e6, poisson=0.3)
     other = Scene(flat_punch(2e-3, 0.5e-3), press([0.9e-3], at=(1e-3, 0.0)), stiff)
@@ -123,7 +123,6 @@ def test_force_scales_with_the_modulus_and_with_nothing_else(small: Result) -> N
     np.testing.assert_allclose(soft.force / 1e4, small.force / 0.145e6, rtol=2e-5, atol=1e-12)
 
 
-@pytest.mark.slow
 def test_float32_is_float64_to_five_digits(small: Result) -> None:
     exact = _one(SCENE, replace(COARSE, precision="float64"))
     np.testing.assert_allclose(exact.force, small.force, atol=2e-5 * np.abs(small.force).max())
@@ -137,7 +136,6 @@ def test_a_slipping_plane_drags_with_its_coefficient_times_the_pressure() -> Non
     assert abs(force[1]) < 1e-3 * force[0]
 
 
-@pytest.mark.slow
 def test_the_authors_sticking_contact_drags_the_surface_along() -> None:
     way = [(0.0, 0.0, 0.0), (0.0, 0.0, -0.3e-3), (0.2e-3, 0.0, -0.3e-3)]
     scene = Scene(sphere(4e-3), through(way, speed=0.02), Body(4e-3, 4e-3, 2e-3))
@@ -147,7 +145,6 @@ def test_the_authors_sticking_contact_drags_the_surface_along() -> None:
     assert sticky.force[1, 2] < 0 < sticky.force[2, 0]
 
 
-@pytest.mark.slow
 def test_a_fast_press_is_met_by_the_bodys_mass(monkeypatch: pytest.MonkeyPatch) -> None:
     # Before a wave returns from the base, the pressure on a plane is density * c * v.
     monkeypatch.setattr(lattice, "WINDOW", 0.5)
@@ -161,7 +158,6 @@ def test_a_fast_press_is_met_by_the_bodys_mass(monkeypatch: pytest.MonkeyPatch) 
     assert -result.force[-1, 2] == pytest.approx(expected, rel=0.06)
 
 
-@pytest.mark.slow
 def test_a_dome_is_pressed_with_the_force_that_elements_give_within_the_known_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -197,7 +193,6 @@ def test_an_unstable_time_step_diverges_and_gives_nothing(monkeypatch: pytest.Mo
     assert "Courant number 2" in str(outcome)
 
 
-@pytest.mark.slow
 def test_a_press_that_is_not_quasi_static_or_loosely_sampled_says_so(small: Result) -> None:
     assert small.record["warnings"] == []
     fast = replace(SCENE, motion=press([0.1e-3], speed=0.05))
@@ -234,7 +229,6 @@ def test_the_end_of_a_line_does_not_lag() -> None:
     assert end_of_line(np.array([1.0, 5.0])) == 5.0
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_halving_the_cell_halves_the_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(state, "REACH", 0.0)
@@ -244,7 +238,6 @@ def test_halving_the_cell_halves_the_error(monkeypatch: pytest.MonkeyPatch) -> N
     assert errors[1] / errors[0] == pytest.approx(0.6, abs=0.1)
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_the_authors_settings_lose_the_force_and_the_motion_around_the_contact() -> None:
     result = _one(Scene(sphere(4e-3), press(DEPTHS)), Mpm.authors())

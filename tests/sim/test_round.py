@@ -23,6 +23,8 @@ from sim.result import from_json, to_json
 from sim.scene import through
 from sim.tiers import simulate_many
 
+pytestmark = pytest.mark.slow
+
 MM = 1e-3
 DISC = Body(12 * MM, 12 * MM, 4 * MM, footprint="ellipse")
 DOME = Body(28 * MM, 28 * MM, 5.5 * MM, dome_radius=28.4 * MM, footprint="ellipse")
@@ -137,7 +139,6 @@ def _independent(radius: float, body: Body, depth: float) -> float:
     return AxisymmetricPress(layer, ball(radius), grid, 0.0, wide).run([depth], path)[0].force
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("radius", "body"),
     [(2, DISC)]
@@ -154,7 +155,6 @@ def test_forces_at_the_apex_agree_with_axisymmetric_elements(radius: float, body
     assert abs(result.quality.energy_gap[-1]) < 0.01
 
 
-@pytest.mark.slow
 def test_a_plate_on_a_disc_comes_near_to_axisymmetric_elements_as_elements_shrink() -> None:
     grid = layer_grid(6 * MM, 4 * MM, [Fine(6 * MM, 6 * MM, 0.1 * MM)], 0.25)
     truth = AxisymmetricPress(
@@ -169,7 +169,6 @@ def test_a_plate_on_a_disc_comes_near_to_axisymmetric_elements_as_elements_shrin
     assert errors[2] < 0.01
 
 
-@pytest.mark.slow
 def test_forces_beside_the_rim_settle_as_elements_shrink_there() -> None:
     scene = Scene(BALL, press((1 * MM,), at=(3 * MM, 2 * MM)), DISC)
     results = [simulate(scene, Fem(fineness=fineness)) for fineness in (0.75, 1.2, 1.8)]
@@ -180,7 +179,6 @@ def test_forces_beside_the_rim_settle_as_elements_shrink_there() -> None:
     assert beside[0] > beside[1] > beside[2]
 
 
-@pytest.mark.slow
 def test_a_disc_answers_alike_whichever_way_it_is_turned() -> None:
     pushes, asides = [], []
     for degrees in (0, 30):
@@ -197,7 +195,6 @@ def test_a_disc_answers_alike_whichever_way_it_is_turned() -> None:
     assert pushes[0] < 0.95 * _push(_pressed(DISC, 1 * MM))  # softer beside the rim
 
 
-@pytest.mark.slow
 def test_a_large_ellipse_answers_as_the_rectangle_around_it_does() -> None:
     large = Body(30 * MM, 24 * MM, 2 * MM)
     both = large, replace(large, footprint="ellipse")
@@ -206,7 +203,6 @@ def test_a_large_ellipse_answers_as_the_rectangle_around_it_does() -> None:
     assert forces[1] == pytest.approx(forces[0], rel=1e-4)
 
 
-@pytest.mark.slow
 def test_a_thin_rim_is_pressed_and_sheared() -> None:
     place = 12 * MM
     top = THIN.height(place, 0.0)

@@ -20,6 +20,8 @@ from recorder.convert.import_presses import Trace, find_lag
 from recorder.convert.import_tracks import MissingAnswer
 from tactile.__main__ import main
 
+pytestmark = pytest.mark.slow
+
 FPS, COUNT = 30, 60
 TIMES = np.arange(COUNT) / FPS
 
@@ -89,7 +91,6 @@ def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
     return call
 
 
-@pytest.mark.slow
 def test_from_folders_to_scores_on_the_object_left_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -174,6 +174,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [*TEXTS, *FOLDERS])
 def test_a_mistake_in_a_file_is_refused_with_the_message_of_the_page(kind: str, lab: Path) -> None:
     found = list(refusals(kind, lab))
