@@ -29,7 +29,7 @@ from support.arms import (
 )
 from support.waiting import until
 
-from rig.core.clock import FakeClock
+from rig.core.clock import SECOND_NS, FakeClock
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.devices.arm.arm import Arm
 from rig.devices.arm.messages import Move
@@ -186,6 +186,17 @@ def test_a_move_that_an_ended_program_refused_is_not_called_out_of_reach(runs, w
     except DeviceLost as error:
         found = str(error)
     assert words in found
+
+
+def test_a_slow_process_kicks_the_watchdog_in_time():
+    clock, kicks = FakeClock(), [0]
+    control = SimpleNamespace(connected=lambda: True, kick=lambda: not kicks.append(clock.now_ns()))
+    watch = SimpleNamespace(look=lambda mode: clock.advance(0.03), speed_fraction=1.0)
+    watch.fresh = control.connected
+    mover = Mover(SimpleNamespace(config=CONFIG), control, watch, clock, lambda: False)
+    for _ in range(50):
+        mover.step("travel")
+    assert np.diff(kicks).max() * CONFIG.watchdog_hz < SECOND_NS / 2
 
 
 def test_an_arm_in_local_control_is_not_started(emulator):

@@ -27,8 +27,6 @@ from rig.devices.arm.emulated_arm import CYCLE
 from rig.devices.arm.reader import RtdePoseDriver
 from rig.devices.arm.settings import ArmConfig
 
-pytestmark = pytest.mark.slow
-
 pytest.importorskip("rtde_control", reason="no ur-rtde: pip install 'tactile-rig[rig]'")
 
 
@@ -110,6 +108,7 @@ def test_a_slow_slider_is_named_and_waited_for(arm, fraction, caplog):
     assert f"the speed slider is at {fraction:.0%}" in caplog.text
 
 
+@pytest.mark.slow
 def test_a_slider_turned_down_in_mid_move_ends_it_in_bounded_time(arm):
     result = arm.move(
         at(0, 0, 0.025), mode="travel", on_wait=Once(lambda: inject("slider", fraction=0.001))

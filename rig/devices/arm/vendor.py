@@ -42,7 +42,7 @@ class UrControl:
 
     def __init__(self, config: ArmConfig) -> None:
         self._host = config.host
-        # Threads inherit it: the one that receives answers must not wait for the one that awaits them.
+        # Threads inherit it: one that receives answers must not wait for one that awaits them.
         take_priority(ARM_PRIORITY + 1)
         self._control = self._call(lambda: RTDEControlInterface(config.host, _RATE_HZ))
         take_priority(ARM_PRIORITY)
