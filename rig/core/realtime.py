@@ -9,8 +9,8 @@ from rig.core.clock import SECOND_NS
 # Stream processes.
 RIG_PRIORITY = 50
 # The process that moves the arm. ur_rtde waits for an answer without sleeping, some milliseconds a
-# command, so that above the streams it would cost frames of a camera where cores are few. Its thread
-# that receives the answer comes one before.
+# command: above the streams, it would cost frames of a camera where cores are few. Its thread that
+# receives the answer comes one before.
 ARM_PRIORITY = 35
 # Emulators: the devices that they replace run regardless of the host's load.
 DEVICE_PRIORITY = 60
