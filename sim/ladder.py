@@ -577,8 +577,7 @@ class LadderPress:
             field -= slipped * interpolated(fields.rubbed, *place)
         sheared = self._elastic[:, :2] / ladder.sideways
         field += np.tensordot(sheared.astype(np.float32), fields.sideways, 2)
-        centre = self.tip[:2] - self.shear
-        aside = np.asarray(points, float) - centre
+        aside = np.asarray(points, float) - self._middle
         moved = fields.at(field, aside)
         if ladder.by_fem.moved is not None:
             # Beside the contact as in the body's middle, and towards each wall as towards that.
@@ -593,13 +592,17 @@ class LadderPress:
         """Return how `by_fem` moves points (n, 2) [m] more in this shear (n, 2) [m]."""
         body = self._ladder.body
         side = self._elastic[:, :2].sum(axis=0) / (body.modulus * body.thickness)
-        return by_fem.drags(side, self._over_walls(points - (self.tip[:2] - self.shear)))
+        return by_fem.drags(side, self._over_walls(points - self._middle))
 
     def _over_walls(self, aside: Array) -> Array:
         """Return places (n, 2) [m] beside the contact's middle over the distances of the walls."""
         half = np.array([self._ladder.body.size_x, self._ladder.body.size_y]) / 2
-        centre = self.tip[:2] - self.shear
-        return np.asarray(aside / np.abs(np.where(aside < 0, -half, half) - centre))
+        return np.asarray(aside / np.abs(np.where(aside < 0, -half, half) - self._middle))
+
+    @property
+    def _middle(self) -> Array:
+        """Place of the contact's middle on the undeformed skin (2,) [m]."""
+        return np.asarray(self.tip[:2] - self.shear)
 
     @property
     def _dent(self) -> float:

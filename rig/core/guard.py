@@ -263,11 +263,11 @@ class ForceGuard:
             return None
         # The force that is largest in size on each axis: a load between two looks counts.
         largest = forces[np.abs(forces).argmax(axis=0), np.arange(6)].tolist()
-        invalid = self._invalid(records, forces)
-        for k, load in enumerate(self._loads(largest)):
+        loads, invalid = self._loads(largest), self._invalid(records, forces)
+        for k, load in enumerate(loads):
             if invalid is None and load > limits.hard_fraction:
                 return self._hard(k, largest)
-        return late or invalid or self._soft(largest, newest, ahead)
+        return late or invalid or self._soft(loads, largest, newest, ahead)
 
     def _hard(self, load: int, force: list[float]) -> Violation:
         name, text = self._said(load, force)
@@ -288,11 +288,11 @@ class ForceGuard:
         )
 
     def _soft(
-        self, largest: list[float], newest: list[float], ahead: list[float]
+        self, loads: list[float], largest: list[float], newest: list[float], ahead: list[float]
     ) -> Violation | None:
         limit = self._limits.soft_fraction
-        loads = zip(self._loads(largest), self._loads(newest), self._loads(ahead), strict=True)
-        for k, (load, load_newest, load_later) in enumerate(loads):
+        all_loads = zip(loads, self._loads(newest), self._loads(ahead), strict=True)
+        for k, (load, load_newest, load_later) in enumerate(all_loads):
             if load > limit:
                 name, text = self._said(k, largest)
                 return Violation("force_soft", f"{name}: {text}, the soft limit is {limit:.0%}")
