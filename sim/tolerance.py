@@ -103,7 +103,7 @@ CHOOSING, UNCHOSEN = 0.5, 0.3
 # Fineness of the first mesh if the time is limited: a second or two on one core. A GPU takes about
 # as long for a finer one, which has a state more often where skin folds at an edge; a coarser one
 # follows if that takes more than `FIRST` of the time, or has none.
-QUICK, FIRST = {"cpu": (0.15,), "cuda": (0.375, 0.15)}, 1 / 3
+QUICK, FIRST = {"cpu": (0.25, 0.15), "cuda": (0.375, 0.15)}, 1 / 3
 # Power of the fineness by which the time of a mesh grows: on a core about with the elements and
 # steps, on a GPU with launches. Fraction of the time left that a mesh may take by it; and
 # the least fineness that fits, over the last one, with which a finer mesh is tried all the same.

@@ -59,9 +59,10 @@ DAMPING_LEAST, DAMPING_MOST = 2.0, 1e5
 # Longest step [T] over which the work of the indenter follows accurately enough from the two ends.
 # With viscosity, whose steps are short in time, a state in between would add 5 % to the run time.
 WORK_STEP, WORK_STEP_VISCOUS = 1 / 30, 1 / 12
-# Iterations in which friction's limit follows the pressure fully; later it moves by the second, a
-# fraction of the way. Otherwise the two may alternate for ever with equal and opposite changes.
-RELAX_AFTER, RELAX_SHARE = 4, 0.5
+# Friction's limit follows the pressure, but for a time by only the first, a fraction of the way,
+# after an iteration beyond the second that left more than the third of the residual: the two may
+# alternate for ever with equal and opposite changes. That time is the fourth, and longer each time.
+RELAX_SHARE, RELAX_AFTER, RELAX_ABOVE, RELAX_FOR = 0.5, 4, 0.7, 4
 
 
 class Newton:
@@ -101,6 +102,7 @@ class Newton:
         self._best = np.full(count, np.inf)
         self._best_at, self._far_at = np.zeros((2, count), int)
         self._settled, self._renewed = np.zeros((2, count), int)
+        self._relaxed_for, self._relaxed_until = np.zeros((2, count), int)
         self._patience = np.ones(count)
         self._mask = assembly.state.mask
         self._whole = wp.ones(count, dtype=assembly.real, device=assembly.device)
@@ -132,10 +134,11 @@ class Newton:
         self._patience[chosen] = patience[chosen]
         self._restart(chosen)
 
-    def resume(self, chosen: np.ndarray, patience: np.ndarray) -> None:
-        """Continue from the solution, after an update of multipliers; `patience` as in `begin`."""
+    def resume(self, chosen: np.ndarray, tolerance: np.ndarray, patience: np.ndarray) -> None:
+        """Continue from the solution, after an update of multipliers; all as in `begin`."""
         if not chosen.any():
             return
+        self._tolerance[chosen] = tolerance[chosen]
         self._patience[chosen] = patience[chosen]
         self._restart(chosen)
 
@@ -145,6 +148,7 @@ class Newton:
         self._exact_below[chosen], self._convex_left[chosen] = EXACT_BELOW, CONVEX_MOST
         self._best[chosen], self._best_at[chosen], self._far_at[chosen] = np.inf, 0, 0
         self._settled[chosen], self._renewed[chosen] = 0, 0
+        self._relaxed_for[chosen], self._relaxed_until[chosen] = 0, 0
         if self._assembly.split:
             self._assembly.state.volume.stiffen(chosen, 0.0)
             self._assembly.state.follow_volume(self._mask(chosen))
@@ -161,17 +165,17 @@ class Newton:
         assembly, state = self._assembly, self._assembly.state
         active, predicting = self._mask(running), running & self._predicting
         if self._friction:
-            late = running & (self.iterations >= RELAX_AFTER)
-            for some, fraction in (running & ~late, 1.0), (late, RELAX_SHARE):
+            slow = running & (self.iterations < self._relaxed_until)
+            for some, fraction in (running & ~slow, 1.0), (slow, RELAX_SHARE):
                 if some.any():
                     assembly.relax_limit(self._mask(some), fraction)
-            if late.any():
-                slow = self._mask(late)
-                assembly.evaluate_contact(slow, state.u, self._cg.solution)
+            if slow.any():
+                assembly.evaluate_contact(self._mask(slow), state.u, self._cg.solution)
         assembly.linearise(active, state.u, self._damping)
         if predicting.any():
             assembly.push(self._mask(predicting), state.travel(predicting))
-        accuracy = np.clip(0.3 * self.residual, ACCURACY_LEAST, ACCURACY)
+        before = self.residual.copy()
+        accuracy = np.clip(0.3 * before, ACCURACY_LEAST, ACCURACY)
         accuracy[predicting] = PREDICTION
         self._cg.solve(
             running,
@@ -205,6 +209,10 @@ class Newton:
         switched = running & (bent | eased)
         if self._switch(switched):
             assembly.evaluate_contact(self._mask(switched), state.u, self._cg.solution)
+        alternates = running & (self.residual > RELAX_ABOVE * before)
+        alternates &= self.iterations >= np.maximum(self._relaxed_until, RELAX_AFTER)
+        self._relaxed_for[alternates] += RELAX_FOR
+        self._relaxed_until[alternates] = (self.iterations + self._relaxed_for)[alternates]
         better = running & (self.residual < BETTER * self._best)
         self._best[better], self._best_at[better] = self.residual[better], self.iterations[better]
         far = running & (self.residual > ROUNDING * self._tolerance)

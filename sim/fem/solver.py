@@ -41,21 +41,24 @@ class Required:
             )
             if "made_anew" in mesh or ratio > COARSE:
                 sizes = sizes.joined(needed)
-            if "stiffening" in outcome.record:
+            if "stiffening" in outcome.record and mesh.get("fineness", 0.0) >= TELLING:
                 self.stiffer[key] = outcome.record["stiffening"]["reason"]
         self.sizes[key] = sizes
 
 
 # Most times that a mesh is rebuilt because the solution shows that it was too coarse.
 REMESHED = 2
+# Fineness from which a skin without a state on a mesh is taken to have none on finer ones either: a
+# rougher one stands at edges where no skin would.
+TELLING = 0.3
 # Least ratio by which elements of a rebuilt mesh are smaller where that is required: a mesh that is
 # hardly finer is not worth its time.
 REFINED = 1.2
 # A mesh is rebuilt again if the last time multiplied what was coarse by less than this, or if the
 # solution is of no use as it is.
 LESS_COARSE = 0.9
-# Fineness below which a mesh with a result of use is not rebuilt: it is for a first answer, and for
-# the sizes that finer meshes need.
+# Fineness below which a mesh with a result of use is not rebuilt. Nor is one of several that become
+# finer: rebuilding it takes more time than the next, which has the sizes that it needs.
 ROUGH = 0.2
 # Element size over that required by the solution's own contact above which a finer mesh is built
 # for that contact from the start.
@@ -126,7 +129,8 @@ def simulate_fem(
                 alike, numerics, wanted, device, onward.again(), failed=failed
             )
         else:
-            outcomes, lasting = _following(alike, wanted, numerics, device, onward)
+            anew = required is None
+            outcomes, lasting = _following(alike, wanted, numerics, device, onward, anew=anew)
             _on_coarser(outcomes, alike, wanted, numerics, device, onward)
             wanted = lasting
         for row, outcome, size in zip(rows, outcomes, wanted, strict=True):
@@ -169,9 +173,17 @@ def _without_finer(result: Result, failed: SimulationDiverged) -> Result:
 
 
 def _following(
-    scenes: Sequence[Scene], sizes: Sequence[Sizes], numerics: Fem, device: str, progress: _Onward
+    scenes: Sequence[Scene],
+    sizes: Sequence[Sizes],
+    numerics: Fem,
+    device: str,
+    progress: _Onward,
+    *,
+    anew: bool,
 ) -> tuple[list[Outcome], list[Sizes]]:
     """Solve presses on meshes that follow their contacts, rebuilt where the solution needs more.
+
+    Those with a result of use are rebuilt only if `anew` is set.
 
     Returns:
         The outcomes; `sizes`, and with them those required by overlaps so large that finer meshes
@@ -193,10 +205,11 @@ def _following(
                 continue
             if isinstance(outcome, Result):
                 before, coarse[i] = coarse[i], coarseness(outcome)
+                if numerics.fineness >= ROUGH:
+                    lasting[i] = lasting[i].joined(wanted_of_overlap(outcome, OVERLAP_LASTS))
                 useful = isinstance(checked(outcome), Result)
-                if useful and (numerics.fineness < ROUGH or coarse[i] >= LESS_COARSE * before):
+                if useful and (not anew or coarse[i] >= LESS_COARSE * before):
                     continue
-                lasting[i] = lasting[i].joined(wanted_of_overlap(outcome, OVERLAP_LASTS))
             sizes[i] = sizes[i].joined(more)
             again.setdefault(precision_for_finer(outcome, numerics), []).append(i)
         for precision, chosen in again.items():

@@ -45,6 +45,9 @@ FRAME_SAMPLES, PATH_SAMPLES, PATH_STATES = 8, 3, 3
 # Further updates of the multipliers where an indenter has all but left the skin: they remember the
 # press before, and each leaves a tenth of it or less. Below this fraction of the largest force.
 FADED, FADED_BELOW = 3, 0.01
+# Tolerance of states from which the multipliers are updated: the states after it, not these, are
+# those of a result.
+UPDATED = 1e-3
 # Threads of the host that look at folded skins beside a GPU. Nearly half of their work holds the
 # interpreter's lock, so that more threads wait for each other: two were 1.9 times as fast as one,
 # six 1.5 times (two cores), and sixteen on sixteen cores slower than six.
@@ -484,7 +487,7 @@ class Batch:
             path = self._paths[i]
             self._share[i], self._tip[i], self._duration[i] = path.goal()
             self._load[i] = path.load(self._share[i])
-            tolerance[i] = self._tolerance(self._share[i])
+            tolerance[i] = self._tolerance(self._share[i], self._numerics.augmentations)
             patience[i] = path.patience(self._numerics.newton_max) if path.patient else 1.0
             segment, step = self._last[i]
             going_on = segment == path.segment and step > 0 and path.halvings == 0
@@ -497,13 +500,16 @@ class Batch:
         self._assembly.state.begin_step(idle, self._tip, self._duration, guess)
         self._newton.begin(idle, tolerance, predict=guess == 0, patience=patience)
 
-    def _tolerance(self, fraction: float) -> float:
+    def _tolerance(self, fraction: float, updates: int) -> float:
+        """Return the tolerance of a state from which multipliers are updated `updates` times."""
         numerics = self._numerics
+        if fraction >= 1.0:
+            return max(UPDATED if updates else 0.0, numerics.tolerance)
         loose = numerics.path_tolerance
         if loose is None:
             history = {"viscosity", "inertia"} & set(self._assembly.effects)
             loose = 1e-3 if history else 1e-2
-        return numerics.tolerance if fraction >= 1.0 else max(loose, numerics.tolerance)
+        return max(loose, numerics.tolerance)
 
     def _finish(self, done: np.ndarray) -> None:
         """Accept the steps that have converged, halve those that have failed (B,)."""
@@ -511,6 +517,7 @@ class Batch:
             return
         assembly, newton = self._assembly, self._newton
         again, good, bad = np.zeros((3, len(done)), bool)
+        tolerance = np.full(len(done), self._numerics.tolerance)
         force = np.linalg.norm(assembly.sums["contact"], axis=1)
         at_goal = done & newton.converged & (self._share >= 1.0)
         self._largest[at_goal] = np.maximum(self._largest, force)[at_goal]
@@ -522,15 +529,19 @@ class Batch:
                 self._paths[i].patient_left -= max(0, int(newton.iterations[i]) - PATIENCE)
             if not newton.converged[i]:
                 bad[i] = True
-            elif at_goal[i] and self._augmented[i] < self._augmentations(force[i], i):
+            elif at_goal[i] and self._augmented[i] < (most := self._augmentations(force[i], i)):
+                again[i] = True
+                self._augmented[i] += 1
+                tolerance[i] = self._tolerance(1.0, most - self._augmented[i])
+            elif at_goal[i] and newton.residual[i] > tolerance[i]:  # nothing is touched
                 again[i] = True
             else:
                 good[i] = True
         if again.any():
-            self._augmented[again] += 1
             assembly.state.update_multiplier(assembly.state.mask(again))
             most = self._numerics.newton_max
-            newton.resume(again, np.array([path.patience(most) for path in self._paths]))
+            patience = np.array([path.patience(most) for path in self._paths])
+            newton.resume(again, tolerance, patience)
         way, folds, passed = self._look(good)
         for i in passed:
             good[i], bad[i] = False, True

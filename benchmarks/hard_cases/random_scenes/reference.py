@@ -2,12 +2,13 @@
 
 A scene with an axis of symmetry goes to `axial`, which shares no code with the simulator. The
 others are solved by the simulator with everything finer: elements, and from them the limit of both
-meshes (Richardson 1911, order 2); contact, whose overlap is at most a thousandth of the depth; and,
-where forces depend on the way or the time, steps. The finest solution must also obey the
-laws of `mechanics`, which do not use the solver.
+meshes (Richardson 1911, order 2); contact, by more updates of its multipliers; and, where forces
+depend on the way or the time, steps. The finest solution must also obey the laws of `mechanics`,
+which do not use the solver.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -18,16 +19,15 @@ from sim.device import kind_of
 from sim.error_estimate import vanishing_share
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
-from sim.fem.solver import simulate_fem
+from sim.fem.solver import Required, simulate_fem
 from sim.result import Result, force_scale
 from sim.scene import Scene
 from sim.tolerance import RATIO_LEAST, elements_ratio, left_of_difference
 
-# Contact stiffness and updates of its multipliers, first and if the overlap is too large: the
-# simulator's own are 200 and 2.
-TIGHT = ((1600.0, 4), (12_800.0, 10))
-# Largest overlap, over the depth, and the error of a force over it.
-OVERLAP, PER_OVERLAP = 1e-3, 2.0
+# Updates of the multipliers of contact, of which an answer has 2, and the fraction of what the
+# others change the force by that those after them may. Each leaves a tenth of the overlap, but for
+# single points at an edge, whose overlap falls with the elements.
+TIGHT, AFTER = 6, 0.5
 # Elements of the coarser mesh over those of the finer one, and the range of the coarser one's
 # fineness: that of the answer, if within. With inertia meshes damp waves over a time that falls
 # with their elements, so that they are finer.
@@ -79,18 +79,12 @@ def _by_refining(scene: Scene, fineness: float, factor: int, device: str) -> Ref
     times = IN_TIME if in_time else ALONG if effects.friction is not None else 1
     finest = FINEST if effects.inertia is None else FINEST_OF_WAVES
     fineness = float(np.clip(fineness, COARSEST, finest))
-    for penalty, augmentations in TIGHT:
-        numerics = Fem(
-            fineness=fineness,
-            elements_max=ELEMENTS_MAX[kind_of(device)],
-            penalty=penalty,
-            augmentations=augmentations,
-            step_factor=factor,
-        )
-        coarse = _solved(scene, numerics, device)
-        if np.nan_to_num(coarse.quality.contact).max() <= OVERLAP:
-            break
-    fine = _solved(scene, replace(numerics, fineness=FINER * fineness), device)
+    numerics = Fem(
+        fineness=fineness, elements_max=ELEMENTS_MAX[kind_of(device)], step_factor=factor
+    )
+    solved, needs = partial(_solved, scene, device), Required()
+    coarse = solved(numerics, needs)
+    fine = solved(replace(numerics, fineness=FINER * fineness), needs)
     ratio = elements_ratio(coarse, fine)
     if ratio < RATIO_LEAST:
         raise NoReference("a finer mesh has too many elements")
@@ -104,21 +98,24 @@ def _by_refining(scene: Scene, fineness: float, factor: int, device: str) -> Ref
     first = 0.0 if effects.inertia is None else left_of_difference(ratio, order=1.0) - second
     force = fine.force + second * apart
     unsure = max(second, first) / 2 * np.abs(apart).max(axis=1)
+    tight = solved(replace(numerics, augmentations=TIGHT), Required())
+    change = tight.force - coarse.force
+    force, unsure = force + change, unsure + AFTER * np.abs(change).max(axis=1)
     if times > 1:
-        small = _solved(scene, replace(numerics, step_factor=times * factor), device)
+        small = solved(replace(numerics, step_factor=times * factor), Required())
         change = small.force - coarse.force
         force, unsure = force + change, unsure + np.abs(change).max(axis=1) / (times - 1)
-    overlap = np.nan_to_num(fine.quality.contact)
-    more = PER_OVERLAP * overlap + vanishing_share(fine)
+    more = vanishing_share(fine)
     if (stiffening := fine.record.get("stiffening")) is not None:
         more = more + np.array(stiffening["correction"])
     unsure = unsure + more * force_scale(force)
-    by = f"fineness {fine.record['mesh']['fineness']:.2g}, steps x {times}"
-    return Reference(force, unsure, f"{by}, overlap {100 * overlap.max():.2g} %")
+    overlap = 100 * np.nan_to_num(tight.quality.contact).max()
+    by = f"fineness {fine.record['mesh']['fineness']:.2g}, steps x {times}, overlap {overlap:.2g} %"
+    return Reference(force, unsure, by)
 
 
-def _solved(scene: Scene, numerics: Fem, device: str) -> Result:
-    (outcome,) = simulate_fem([scene], numerics, device=device)
+def _solved(scene: Scene, device: str, numerics: Fem, required: Required) -> Result:
+    (outcome,) = simulate_fem([scene], numerics, device=device, required=required)
     if isinstance(outcome, SimulationDiverged):
         raise outcome
     return outcome
