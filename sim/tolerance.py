@@ -98,8 +98,10 @@ APART_MOST = 2.2
 WHOLLY = 0.97
 # Fraction of the tolerance for the error by time steps, of inertia.
 IN_TIME = 1 / 3
-# Fraction of a limited time in which those steps are chosen, and their error if there is none.
-CHOOSING, UNCHOSEN = 0.5, 0.3
+# Fraction of a limited time that choosing those steps is expected to take and may take, and their
+# error if there is none. Most fineness of the mesh for it: a rough one, on which a contact is not
+# resolved, needs shorter steps than the scene does.
+CHOOSING, CHOOSING_MOST, UNCHOSEN, CHOSEN_ON = 0.25, 0.5, 0.3, 0.5
 # Fineness of the first mesh if the time is limited: a second or two on one core. A GPU takes about
 # as long for a finer one, which has a state more often where skin folds at an edge; a coarser one
 # follows if that takes more than `FIRST` of the time, or has none.
@@ -347,15 +349,18 @@ class _Search:
 
     def _in_time(self, states: Fem) -> TimeSteps | None:
         """Return the time steps of inertia, and their error; None without it."""
-        from sim.fem.in_time import FINENESS, time_steps
+        from sim.fem.in_time import FINENESS, FINER, time_steps
         from sim.fem.stepping import OutOfTime, limited
 
         wanted = self._wanted
         sought = IN_TIME * (wanted.value if wanted.kind == "fraction" else 0.01)
         now = time.monotonic()
-        fineness = FINENESS if self.until == math.inf else self._quick[-1]
+        fineness, left = FINENESS, self.until - now
+        if self._cost and left < math.inf:
+            most = (CHOOSING * left / (1 + FINER) / self._cost) ** (1 / self._power)
+            fineness = float(np.clip(most, self._quick[-1], CHOSEN_ON))
         try:
-            with limited(now + CHOOSING * (self.until - now)):
+            with limited(now + CHOOSING_MOST * left):
                 free = replace(states, step_factor=None)
                 return time_steps(self._scene, free, self._device, sought, fineness)
         except OutOfTime:

@@ -53,6 +53,8 @@ CELLS_MAX = 4_000_000
 
 # Most elements of a mesh that follows the contact, if not set.
 ELEMENTS_DEFAULT = {"cpu": 40_000, "cuda": 160_000}
+# Largest contact stiffness: beyond it a state has too few digits.
+PENALTY_MOST = 1e6
 # Least fineness of a mesh that follows the contact: about one element from side to side.
 FINENESS_LEAST = 0.1
 
@@ -136,7 +138,7 @@ class Fem:
             check_range("fem", "path_tolerance", self.path_tolerance, 1e-15, 0.1)
         check_range("fem", "augmentations", self.augmentations, 0, 20)
         check_range("fem", "stiffening", self.stiffening, 0.0, 100.0)
-        check_range("fem", "penalty", self.penalty, 1.0, 1e6)
+        check_range("fem", "penalty", self.penalty, 1.0, PENALTY_MOST)
         check_range("fem", "newton_max", self.newton_max, 1, 10_000)
         check_range("fem", "cg_max", self.cg_max, 1, 1_000_000)
         if self.step_factor is not None:

@@ -11,7 +11,7 @@ import numpy as np
 from recorder.progress import span_of
 from sim.device import check_device, kind_of
 from sim.errors import SimulationDiverged
-from sim.fem import ELEMENTS_DEFAULT, FINENESS_LEAST, Fem, Precision
+from sim.fem import ELEMENTS_DEFAULT, FINENESS_LEAST, PENALTY_MOST, Fem, Precision
 from sim.fem.assembly import damping_time
 from sim.fem.matrix import NODES_SIDE_BY_SIDE
 from sim.fem.mesh import Mesh, meshes_of
@@ -378,7 +378,8 @@ def _penalty(scene: Scene, mesh: Mesh, numerics: Fem) -> float:
         path = path_of(scene, numerics, mesh.finest if numerics.follows else np.inf)
         impact = scene.body.wave_modulus / scene.body.modulus * damped / mesh.topmost
         stiffer *= max(1.0, IMPACT * impact / path.shortest / numerics.penalty)
-    return float(numerics.penalty * 2.0 ** (np.round(np.log2(finer)) + np.round(np.log2(stiffer))))
+    times = 2.0 ** (np.round(np.log2(finer)) + np.round(np.log2(stiffer)))
+    return min(float(numerics.penalty * times), PENALTY_MOST)
 
 
 def _batches(

@@ -120,7 +120,7 @@ def test_within_a_time_the_best_answer_is_given_and_its_plan_replays_it(
 ) -> None:
     """Whatever the machine: the affordable fineness is set here."""
     afforded = [0.48, 0.3]
-    entries = ["fineness 0.15", "fineness 0.3", "fineness 0.48", "fineness 0.48"]
+    entries = ["fineness 0.25", "fineness 0.48", "fineness 0.48"]
     monkeypatch.setattr(module._Search, "_affordable", lambda _search: afforded.pop(0))
     result = plan(BALL, "0.5 %", seconds=1e3, only="fem").run()
     entry = result.record["plan"]
