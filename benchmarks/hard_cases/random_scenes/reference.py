@@ -92,7 +92,7 @@ def _by_refining(scene: Scene, fineness: float, factor: int, device: str) -> Ref
         raise NoReference("a finer mesh has too many elements")
     if fine.record.get("wall"):
         raise NoReference("it touches the side wall of a round body, which no mesh resolves")
-    if broken := silent_laws(fine):
+    if broken := silent_laws(with_symmetry(fine)):
         raise NoReference(f"its finest solution breaks laws of mechanics: {', '.join(broken)}")
     apart = fine.force - coarse.force
     second = left_of_difference(ratio)
