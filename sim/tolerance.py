@@ -85,6 +85,8 @@ FLOOR = 1e-3
 STATES, STATES_MOST = 0.01, 3e-4
 # Error of a force over the out-of-balance force of its state, for light and wide contacts.
 UNBALANCED = 10.0
+# Least error of an extrapolated force by three meshes over that by two.
+CONVERGED = 1 / 3
 # Error of markers over the remaining difference of both meshes.
 MARKERS = 1.5
 # Required elements over allowed ones above which a tolerance is not tried further, unless there is
@@ -217,9 +219,9 @@ class _Chain:
         self.results.append(outcome)
         return outcome
 
-    def companion(self) -> int | None:
-        """Return the index of the finest mesh that the error of the last one can be measured by."""
-        *coarser, fine = self.results
+    def companion(self, of: int = -1) -> int | None:
+        """Return the index of the finest mesh that the error of one can be measured by."""
+        fine, coarser = self.results[of], self.results[:of]
         for index in range(len(coarser) - 1, -1, -1):
             if least_ratio(coarser[index], fine) >= RATIO_LEAST:
                 return index
@@ -234,7 +236,9 @@ class _Chain:
         if companion is None:
             return fine, estimate_of(fine, wanted)
         floor = max(FLOOR, UNBALANCED * self.settings[-1].tolerance)
-        return extrapolated(self.results[companion], fine, wanted, floor)
+        third = self.companion(companion)
+        coarser = [self.results[index] for index in (companion, third) if index is not None]
+        return extrapolated(coarser, fine, wanted, floor)
 
 
 class _Search:
@@ -554,13 +558,15 @@ def _of_layer(
 
 
 def extrapolated(
-    coarse: Result, fine: Result, wanted: Tolerance, floor: float
+    coarser: Sequence[Result], fine: Result, wanted: Tolerance, floor: float
 ) -> tuple[Result, float]:
-    """Return `fine` with the forces extrapolated from both meshes, and its error as a tolerance.
+    """Return `fine` with the forces extrapolated from two meshes, and its error as a tolerance.
 
-    Displacement and traction stay those of the finer mesh. `floor` is the least stated error of the
-    force, over the force.
+    `coarser` is the other mesh, and perhaps a third one to judge the extrapolation by. Displacement
+    and traction stay those of `fine`. `floor` is the least stated error of the force, over the
+    force.
     """
+    coarse = coarser[0]
     ratio = elements_ratio(coarse, fine)
     left = left_of_difference(ratio)
     step = (fine.wrench - coarse.wrench) * left
@@ -568,7 +574,10 @@ def extrapolated(
     size = np.linalg.norm(result.force, axis=1)
     scale = force_scale(result.force)
     apart = np.abs(fine.force - coarse.force).max(axis=1)
-    unsure = np.maximum(_most_of_difference(coarse, fine) * apart, edge_errors(fine) * size)
+    unsure = _most_of_difference(coarse, fine) * apart
+    if len(coarser) > 1:
+        unsure = unsure * _converged(*coarser, fine, unsure / scale)
+    unsure = np.maximum(unsure, edge_errors(fine) * size)
     unsure, waves = _with_waves(coarse, fine, unsure / scale, apart / scale)
     newton = np.maximum(unsure, vanishing_share(result)) * scale
     further = further_errors(result)
@@ -588,6 +597,21 @@ def extrapolated(
     )
     value = {"fraction": error["percent"] / 100, "force": error["newton"], "marker": pixels}
     return replace(result, record={**result.record, "error": error}), float(value[wanted.kind])
+
+
+def _converged(coarse: Result, coarsest: Result, fine: Result, unsure: Array) -> float:
+    """Return the error of extrapolated forces by three meshes, over that by two: `unsure`, at most.
+
+    Forces extrapolated from two pairs of meshes differ by more than their remaining error, if that
+    falls at least as the elements' length. At least `CONVERGED`, and for all frames the same: in
+    one of them both may agree by chance.
+    """
+    first, second = elements_ratio(coarsest, coarse), elements_ratio(coarse, fine)
+    before = coarse.force + (coarse.force - coarsest.force) * left_of_difference(first)
+    after = fine.force + (fine.force - coarse.force) * left_of_difference(second)
+    apart = np.abs(after - before).max(axis=1) / force_scale(after)
+    left = left_of_difference(second, order=1.0) * apart.max()
+    return float(np.clip(left / max(float(unsure.max()), 1e-9), CONVERGED, 1.0))
 
 
 def _with_waves(coarse: Result, fine: Result, unsure: Array, apart: Array) -> tuple[Array, Array]:

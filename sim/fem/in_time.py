@@ -16,7 +16,7 @@ from sim.errors import SimulationDiverged
 from sim.fem import Fem
 from sim.fem.mesh import meshes_of
 from sim.fem.solver import simulate_fem
-from sim.fem.stepping import Path, path_of
+from sim.fem.stepping import OutOfTime, Path, path_of
 from sim.result import Outcome, Result, force_scale
 from sim.scene import Scene
 
@@ -25,6 +25,8 @@ SOUGHT, FACTOR_MOST = 0.02, 4
 # Ratio of both numbers of steps, and the error of the smaller one over the difference of forces,
 # if it falls as the step does.
 FINER, OF_DIFFERENCE = 2, 2.0
+# Error by more steps, over that by fewer, above which they are not worth their time.
+WORTH = 0.75
 # Fineness of the coarse mesh.
 FINENESS = 0.3
 # Error of frames that the coarse mesh has no solution for, over the largest of those that it has,
@@ -89,7 +91,7 @@ def time_steps(
     """Return the steps in time of a scene and their error; None without inertia.
 
     With `numerics.step_factor` that many; else as many as an error of `sought` needs, on a mesh of
-    this `fineness`.
+    this `fineness`, or as the scene's own if the time for others is over.
     """
     if scene.effects.inertia is None:
         return None
@@ -107,13 +109,17 @@ def time_steps(
 
     if numerics.step_factor is not None:
         return with_error(path.factor)
-    first = with_error(1)
-    worst = float(first.force.max(initial=0.0))
-    if worst <= sought:
-        return first
-    # Of second order, if the first steps resolve the waves.
-    more = with_error(int(np.clip(np.ceil((worst / sought) ** 0.5), 2, FACTOR_MOST)))
-    return more if more.force.max() < worst / 2 else first
+    best, factor = with_error(1), 1
+    while best.force.max(initial=0.0) > sought and factor < FACTOR_MOST:
+        factor *= FINER  # one more solution each time
+        try:
+            more = with_error(factor)
+        except OutOfTime:
+            break
+        if more.force.max() > WORTH * best.force.max():
+            break
+        best = more
+    return best
 
 
 def _of_inertia(few: Array, many: Array, scene: Scene) -> Array:

@@ -47,7 +47,7 @@ FRAME_SAMPLES, PATH_SAMPLES, PATH_STATES = 8, 3, 3
 FADED, FADED_BELOW = 3, 0.01
 # Tolerance of states from which the multipliers are updated: the states after it, not these, are
 # those of a result.
-UPDATED = 1e-3
+UPDATED = 3e-4
 # Threads of the host that look at folded skins beside a GPU. Nearly half of their work holds the
 # interpreter's lock, so that more threads wait for each other: two were 1.9 times as fast as one,
 # six 1.5 times (two cores), and sixteen on sixteen cores slower than six.
