@@ -576,7 +576,7 @@ def extrapolated(
     apart = np.abs(fine.force - coarse.force).max(axis=1)
     unsure = _most_of_difference(coarse, fine) * apart
     if len(coarser) > 1:
-        unsure = unsure * _converged(*coarser, fine, unsure / scale)
+        unsure = unsure * _converged(coarser[1], coarse, fine, unsure / scale)
     unsure = np.maximum(unsure, edge_errors(fine) * size)
     unsure, waves = _with_waves(coarse, fine, unsure / scale, apart / scale)
     newton = np.maximum(unsure, vanishing_share(result)) * scale
@@ -599,7 +599,7 @@ def extrapolated(
     return replace(result, record={**result.record, "error": error}), float(value[wanted.kind])
 
 
-def _converged(coarse: Result, coarsest: Result, fine: Result, unsure: Array) -> float:
+def _converged(coarsest: Result, coarse: Result, fine: Result, unsure: Array) -> float:
     """Return the error of extrapolated forces by three meshes, over that by two: `unsure`, at most.
 
     Forces extrapolated from two pairs of meshes differ by more than their remaining error, if that

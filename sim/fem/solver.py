@@ -41,7 +41,9 @@ class Required:
             )
             if "made_anew" in mesh or ratio > COARSE:
                 sizes = sizes.joined(needed)
-            if "stiffening" in outcome.record and mesh.get("fineness", 0.0) >= TELLING:
+            if "stiffening" not in outcome.record and mesh["fineness"] >= ROUGH:
+                sizes = sizes.joined(wanted_of_overlap(outcome, OVERLAP_LASTS))
+            elif mesh["fineness"] >= TELLING:
                 self.stiffer[key] = outcome.record["stiffening"]["reason"]
         self.sizes[key] = sizes
 
@@ -57,8 +59,7 @@ REFINED = 1.2
 # A mesh is rebuilt again if the last time multiplied what was coarse by less than this, or if the
 # solution is of no use as it is.
 LESS_COARSE = 0.9
-# Fineness below which a mesh with a result of use is not rebuilt. Nor is one of several that become
-# finer: rebuilding it takes more time than the next, which has the sizes that it needs.
+# Fineness below which an overlap says nothing about finer meshes.
 ROUGH = 0.2
 # Element size over that required by the solution's own contact above which a finer mesh is built
 # for that contact from the start.
@@ -130,9 +131,8 @@ def simulate_fem(
             )
         else:
             anew = required is None
-            outcomes, lasting = _following(alike, wanted, numerics, device, onward, anew=anew)
+            outcomes = _following(alike, wanted, numerics, device, onward, anew=anew)
             _on_coarser(outcomes, alike, wanted, numerics, device, onward)
-            wanted = lasting
         for row, outcome, size in zip(rows, outcomes, wanted, strict=True):
             solved[row] = outcome
             earlier.add(keys[row], outcome, size)
@@ -180,16 +180,12 @@ def _following(
     progress: _Onward,
     *,
     anew: bool,
-) -> tuple[list[Outcome], list[Sizes]]:
+) -> list[Outcome]:
     """Solve presses on meshes that follow their contacts, rebuilt where the solution needs more.
 
     Those with a result of use are rebuilt only if `anew` is set.
-
-    Returns:
-        The outcomes; `sizes`, and with them those required by overlaps so large that finer meshes
-        will have them too.
     """
-    sizes, lasting = list(sizes), list(sizes)
+    sizes = list(sizes)
     outcomes = solve_on_meshes(scenes, numerics, sizes, device, progress)
     coarse = np.full(len(scenes), np.inf)
     for attempt in range(1, REMESHED + 1):
@@ -205,8 +201,6 @@ def _following(
                 continue
             if isinstance(outcome, Result):
                 before, coarse[i] = coarse[i], coarseness(outcome)
-                if numerics.fineness >= ROUGH:
-                    lasting[i] = lasting[i].joined(wanted_of_overlap(outcome, OVERLAP_LASTS))
                 useful = isinstance(checked(outcome), Result)
                 if useful and (not anew or coarse[i] >= LESS_COARSE * before):
                     continue
@@ -224,7 +218,7 @@ def _following(
                 outcomes[i] = _remeshed(outcome, attempt, outcomes[i])
         if not again:
             break
-    return outcomes, lasting
+    return outcomes
 
 
 # Fineness, over the requested one, of the meshes on which presses without a solution are solved
