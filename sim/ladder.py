@@ -381,7 +381,9 @@ class Fields:
         normal = _displacement(grid, symbol, waves)
         waves[:, 2] = 0
         rubbed = _displacement(grid, symbol, waves)
-        axes = [_with_zero(added / moved[:, k, None, None], k) for k in (0, 1)]
+        axes = np.zeros((2, len(added), 3, *added.shape[1:]), np.complex64)
+        for k in (0, 1):
+            axes[k, :, k] = added / moved[:, k, None, None]
         sideways = np.stack([_displacement(grid, symbol, axis) for axis in axes], axis=1)
         x, y = (
             (np.arange(count) - count / 2) * COARSE * pixel + pixel / 2
@@ -443,13 +445,6 @@ def _long(spectrum: NDArray[Any], grid: PixelGrid) -> NDArray[Any]:
     return np.concatenate(
         [some[..., : (low_x + 1) // 2, :], some[..., -(low_x // 2) :, :]], axis=-2
     )
-
-
-def _with_zero(waves: NDArray[Any], axis: int) -> NDArray[Any]:
-    """Return waves (n, 3, kx, ky) of a traction along x or y alone."""
-    whole = np.zeros((len(waves), 3, *waves.shape[1:]), np.complex64)
-    whole[:, axis] = waves
-    return whole
 
 
 def _displacement(grid: PixelGrid, symbol: Array, waves: NDArray[Any]) -> Array:

@@ -100,10 +100,9 @@ APART_MOST = 2.2
 WHOLLY = 0.97
 # Fraction of the tolerance for the error by time steps, of inertia.
 IN_TIME = 1 / 3
-# Fraction of a limited time that choosing those steps is expected to take and may take, and their
-# error if there is none. Most fineness of the mesh for it: a rough one, on which a contact is not
-# resolved, needs shorter steps than the scene does.
-CHOOSING, CHOOSING_MOST, UNCHOSEN, CHOSEN_ON = 0.25, 0.5, 0.3, 0.5
+# Fraction of a limited time that choosing those steps is expected to take and may take. Most
+# fineness of the mesh for it: a rough one, on which a contact is not resolved, needs shorter steps.
+CHOOSING, CHOOSING_MOST, CHOSEN_ON = 0.25, 0.5, 0.5
 # Fineness of the first mesh if the time is limited: a second or two on one core. A GPU takes about
 # as long for a finer one, which has a state more often where skin folds at an edge; a coarser one
 # follows if that takes more than `FIRST` of the time, or has none.
@@ -272,6 +271,7 @@ class _Search:
             OutOfTime: The time is over.
             SimulationDiverged: There is no solution on a mesh.
         """
+        from sim.fem.in_time import unmeasured
         from sim.fem.mesh import meshes_of
 
         states = first_mesh(self._scene, self._wanted, self._device)
@@ -279,7 +279,7 @@ class _Search:
         moves = self._scene.effects.inertia is not None
         if moves:  # an answer before steps in time are chosen, which takes longer
             states = replace(states, step_factor=1)
-            chain, solved = self._begun(self._unchosen, states, self._quick[-1:])
+            chain, solved = self._begun(unmeasured(self._scene), states, self._quick[-1:])
         else:
             chain, solved = self._begun(None, states, self._quick)
         steps = self._in_time(states)
@@ -354,7 +354,7 @@ class _Search:
     def _in_time(self, states: Fem) -> TimeSteps | None:
         """Return the time steps of inertia, and their error; None without it."""
         from sim.fem.in_time import FINENESS, FINER, time_steps
-        from sim.fem.stepping import OutOfTime, limited
+        from sim.fem.stepping import limited
 
         wanted = self._wanted
         sought = IN_TIME * (wanted.value if wanted.kind == "fraction" else 0.01)
@@ -363,19 +363,9 @@ class _Search:
         if self._cost and left < math.inf:
             most = (CHOOSING * left / (1 + FINER) / self._cost) ** (1 / self._power)
             fineness = float(np.clip(most, self._quick[-1], CHOSEN_ON))
-        try:
-            with limited(now + CHOOSING_MOST * left):
-                free = replace(states, step_factor=None)
-                return time_steps(self._scene, free, self._device, sought, fineness)
-        except OutOfTime:
-            return self._unchosen
-
-    @property
-    def _unchosen(self) -> TimeSteps:
-        """As many steps in time as usual, and an error for them without a measurement."""
-        from sim.fem.in_time import TimeSteps
-
-        return TimeSteps(1, np.full(len(self._scene.motion), UNCHOSEN))
+        free = replace(states, step_factor=None)
+        with limited(now + CHOOSING_MOST * left):
+            return time_steps(self._scene, free, self._device, sought, fineness)
 
     def _offer(self, chain: _Chain, companion: int | None) -> float:
         """Make the last result the best one if its error is the least; return that error.

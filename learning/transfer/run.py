@@ -169,13 +169,14 @@ def run_transfer(request: TransferRequest, say: Say = print) -> Card:
         history = (text,)
         intervals = intervals.rescaled(gains.tolist(), scale)
 
+    one, other = (archive[name].table["location"] for name in (source, target))
     card = Card(
         source=source,
         target=target,
         method=method,
         translator=translator,
         seen=tuple(sorted({each.indenter for each in split.presses if each.role == "train"})),
-        pairs=_matched_presses(archive, source, target),
+        pairs=len(np.intersect1d(one[one >= 0], other[other >= 0])),
         intervals=intervals,
         history=history,
     )
@@ -289,12 +290,6 @@ def _require_as_deep(request: TransferRequest, archive: MarkerArchive) -> None:
             "forces differ by more than the skins' moduli; allowed: --priors with force-depth "
             "curves, --force-ratio, or a (simulated) source pressed as deep"
         )
-
-
-def _matched_presses(archive: MarkerArchive, source: str, target: str) -> int:
-    """Return the number of presses that match."""
-    one, other = (archive[name].table["location"] for name in (source, target))
-    return len(np.intersect1d(one[one >= 0], other[other >= 0]))
 
 
 def _deliver_before(trained: Path, out: Path) -> None:

@@ -114,7 +114,12 @@ class TranslatedSensor:
         self._source, self._target = _sensor(archive, pair.source), _sensor(archive, pair.target)
         self._table = self._source.table
         self._presses = _press_of(self._table)
-        self._rows = _by_press(self._table, rows)
+        # By press, in time order; presses in order of first appearance.
+        _, first, of = np.unique(
+            self._presses[rows], axis=0, return_index=True, return_inverse=True
+        )
+        order = np.lexsort((self._table["frame"][rows], first[of.reshape(-1)]))
+        self._rows = np.asarray(rows[order])
         self._reference = target_references(self._table["location"], self._target.table)
         source, target = SensorView.of(self._source), SensorView.of(self._target)
         self._translator = for_pair(model.translator, source, target)
@@ -224,12 +229,6 @@ def _press_of(table: Mapping[str, np.ndarray[Any, Any]]) -> NDArray[np.int64]:
     return np.stack([table[name] for name in ("indenter", "target", "reference")], axis=1).astype(
         np.int64
     )
-
-
-def _by_press(table: Mapping[str, np.ndarray[Any, Any]], rows: Rows) -> Rows:
-    """Return rows grouped by press, in time order; presses in order of first appearance."""
-    _, first, of = np.unique(_press_of(table)[rows], axis=0, return_index=True, return_inverse=True)
-    return np.asarray(rows[np.lexsort((table["frame"][rows], first[of.reshape(-1)]))])
 
 
 def target_references(

@@ -80,7 +80,8 @@ def read_bag(path: Path, answers: Answers) -> Take:
         entry.t_ns.append(log_ns if stamp is None else stamp)
         if kind == "video":
             entry.jpeg = entry.jpeg and isinstance(value, bytes) and value[:2] == JPEG
-            entry.values.append(_size_of(value))
+            size = size_of_picture("image", value) if isinstance(value, bytes) else None
+            entry.values.append(size or (int(value.height), int(value.width)))
         else:
             entry.values.append(value)
     if not topics:
@@ -249,12 +250,6 @@ def _stamp(message: Any) -> int | None:
             stamp_ns = int(getattr(stamp, whole)) * 10**9 + int(getattr(stamp, parts))
             return stamp_ns or None
     return None
-
-
-def _size_of(value: Any) -> tuple[int, int]:
-    if isinstance(value, bytes):
-        return size_of_picture("image", value)
-    return int(value.height), int(value.width)
 
 
 def _pixels(value: Any) -> Any:

@@ -460,13 +460,15 @@ class Lab:
     def _benches(self) -> list[dict[str, Any]]:
         rows = self.finished.rows()
         benches = []
+        finished = [row for row in reversed(rows) if row.is_session and row.status != "recording"]
         for name in self._bench_files():
             try:
                 bench = self._named(name)
             except (ConfigError, OSError) as error:
                 benches.append({"name": name, "mock": False, "error": str(error)})
                 continue
-            newest = next((row for row in reversed(rows) if _is_of(row, bench)), None)
+            own = (row for row in finished if (row.sensor, row.mock) == (bench.sensor, bench.mock))
+            newest = next(own, None)
             benches.append(
                 {
                     "name": name,
@@ -522,12 +524,6 @@ class Lab:
 def _lives(stored: dict[str, Any]) -> bool:
     """Return True if the process that stored this under `pid` has not ended."""
     return Path(f"/proc/{int(stored['pid'])}").exists()
-
-
-def _is_of(row: Row, bench: Bench) -> bool:
-    """Return True for a finished session of a bench."""
-    finished = row.is_session and row.status != "recording"
-    return finished and row.sensor == bench.sensor and row.mock == bench.mock
 
 
 def _load(path: Path, stamp: int) -> Bench:

@@ -6,6 +6,7 @@ a power, for which the response is known.
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -109,17 +110,21 @@ def time_steps(
 
     if numerics.step_factor is not None:
         return with_error(path.factor)
-    best, factor = with_error(1), 1
-    while best.force.max(initial=0.0) > sought and factor < FACTOR_MOST:
-        factor *= FINER  # one more solution each time
-        try:
+    best, factor = unmeasured(scene), 1
+    with suppress(OutOfTime):  # what was measured until then counts
+        best = with_error(1)
+        while best.force.max(initial=0.0) > sought and factor < FACTOR_MOST:
+            factor *= FINER  # one more solution each time
             more = with_error(factor)
-        except OutOfTime:
-            break
-        if more.force.max() > WORTH * best.force.max():
-            break
-        best = more
+            if more.force.max() > WORTH * best.force.max():
+                break
+            best = more
     return best
+
+
+def unmeasured(scene: Scene) -> TimeSteps:
+    """Return as many steps in time as usual, and their error without a measurement."""
+    return TimeSteps(1, np.full(len(scene.motion), UNMEASURED))
 
 
 def _of_inertia(few: Array, many: Array, scene: Scene) -> Array:
@@ -129,7 +134,7 @@ def _of_inertia(few: Array, many: Array, scene: Scene) -> Array:
     """
     count = min(len(few), len(many))
     if not count:
-        return np.full(len(scene.motion), UNMEASURED)
+        return unmeasured(scene).force
     apart = np.abs(few[:count] - many[:count]).max(axis=1) / force_scale(many[:count])
     apart = with_neighbours(apart)
     beyond = np.full(len(scene.motion) - count, BEYOND * apart.max())

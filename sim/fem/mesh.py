@@ -217,9 +217,7 @@ def _mesh(body: Body, x: Array, y: Array, fraction: Array, fineness: float = np.
         area = _face_areas(nodes[grid["faces"]])
     else:
         sides = np.diff(x), np.diff(y), np.diff(fraction)
-        inverse, weight = _box_geometry(*sides)
-        volume = _box_node_volumes(*sides)
-        area = _box_face_areas(*sides)
+        inverse, weight, volume, area = _of_boxes(*sides)
     inside = None
     if body.footprint != "rectangle":
         inside = body.fractions(x * unit, y * unit)
@@ -290,27 +288,19 @@ def _geometry(corners: Array) -> tuple[Array, Array]:
     return inverse, weight
 
 
-def _box_geometry(x: Array, y: Array, z: Array) -> tuple[Array, Array]:
-    """`_geometry` for boxes with sides (X,), (Y,) and (Z,): the same at all Gauss points."""
+def _of_boxes(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array, Array]:
+    """Both of `_geometry`, `_node_volumes`, `_face_areas` for boxes of sides (X,), (Y,), (Z,)."""
     sides = np.broadcast_arrays(x[:, None, None], y[:, None], z)
     inverse = np.zeros((*sides[0].shape, 3, 3))
     for axis, side in enumerate(sides):
         inverse[..., axis, axis] = 2.0 / side
     weight = (sides[0] * sides[1] * sides[2] / 8).reshape(-1, 1)
     inverse = np.broadcast_to(inverse.reshape(-1, 1, 3, 3), (len(weight), 8, 3, 3))
-    return inverse, np.broadcast_to(weight, (len(weight), 8))
-
-
-def _box_node_volumes(x: Array, y: Array, z: Array) -> Array:
-    """`_node_volumes` for boxes with sides (X,), (Y,) and (Z,)."""
     u, v, w = (np.concatenate([[0.0], side / 2]) + np.append(side / 2, 0.0) for side in (x, y, z))
-    return np.asarray((u[:, None, None] * v[:, None] * w).ravel())
-
-
-def _box_face_areas(x: Array, y: Array, z: Array) -> Array:
-    """`_face_areas` of the faces of `_faces`, for boxes with sides (X,), (Y,) and (Z,)."""
+    volume = (u[:, None, None] * v[:, None] * w).ravel()
     sheets = ((x, y), (y, z), (y, z), (x, z), (x, z))
-    return np.concatenate([np.outer(one, other).ravel() / 4 for one, other in sheets])
+    area = np.concatenate([np.outer(one, other).ravel() / 4 for one, other in sheets])
+    return inverse, np.broadcast_to(weight, (len(weight), 8)), volume, area
 
 
 def _node_volumes(elements: NDArray[np.int32], weight: Array, count: int) -> Array:

@@ -99,8 +99,7 @@ def simulate_fem(
 
     Scenes with the same thickness, mesh topology and set of effects are solved in one batch.
     `required` is what solutions of the same scenes on coarser meshes required; to it is added what
-    these require. It saves building a mesh that proves too coarse, and attempts with a skin that
-    has no state.
+    these require, as the next mesh is to have it: this one is not rebuilt for it.
     """
     check_device(device)
     if numerics.elements_max is None:
