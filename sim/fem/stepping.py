@@ -529,10 +529,10 @@ class Batch:
                 self._paths[i].patient_left -= max(0, int(newton.iterations[i]) - PATIENCE)
             if not newton.converged[i]:
                 bad[i] = True
-            elif at_goal[i] and self._augmented[i] < (most := self._augmentations(force[i], i)):
+            elif at_goal[i] and self._augmented[i] < (whole := self._augmentations(force[i], i)):
                 again[i] = True
                 self._augmented[i] += 1
-                tolerance[i] = self._tolerance(1.0, most - self._augmented[i])
+                tolerance[i] = self._tolerance(1.0, whole - self._augmented[i])
             elif at_goal[i] and newton.residual[i] > tolerance[i]:  # nothing is touched
                 again[i] = True
             else:
