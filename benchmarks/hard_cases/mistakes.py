@@ -9,6 +9,7 @@ from benchmarks.hard_cases.named_cases import escaped, judge
 from benchmarks.hard_cases.solver import Solver
 from benchmarks.processes import rows_of
 from benchmarks.report import Page, Run, table
+from sim.effect_sizes import weakened
 from sim.result import Result
 from sim.scene import Scene
 
@@ -18,7 +19,7 @@ def _times(factor: float, name: str) -> Callable[[Scene], Scene]:
 
     def changed(scene: Scene) -> Scene:
         effect = getattr(scene.effects, name)
-        scaled = effect.weakened(factor) if effect and factor else None
+        scaled = weakened(effect, factor) if effect and factor else None
         return replace(scene, effects=replace(scene.effects, **{name: scaled}))
 
     return changed

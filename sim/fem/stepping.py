@@ -45,9 +45,9 @@ FRAME_SAMPLES, PATH_SAMPLES, PATH_STATES = 8, 3, 3
 # Further updates of the multipliers where an indenter has all but left the skin: they remember the
 # press before, and each leaves a tenth of it or less. Below this fraction of the largest force.
 FADED, FADED_BELOW = 3, 0.01
-# Tolerance of states from which the multipliers are updated: the states after it, not these, are
-# those of a result.
-UPDATED = 3e-4
+# Tolerance of states from which the multipliers are updated, over that of the state after them,
+# which is the result's.
+UPDATED = 3.0
 # Threads of the host that look at folded skins beside a GPU. Nearly half of their work holds the
 # interpreter's lock, so that more threads wait for each other: two were 1.9 times as fast as one,
 # six 1.5 times (two cores), and sixteen on sixteen cores slower than six.
@@ -504,7 +504,7 @@ class Batch:
         """Return the tolerance of a state from which multipliers are updated `updates` times."""
         numerics = self._numerics
         if fraction >= 1.0:
-            return max(UPDATED if updates else 0.0, numerics.tolerance)
+            return numerics.tolerance * (UPDATED if updates else 1.0)
         loose = numerics.path_tolerance
         if loose is None:
             history = {"viscosity", "inertia"} & set(self._assembly.effects)
