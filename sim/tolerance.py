@@ -103,9 +103,8 @@ IN_TIME = 1 / 3
 # Fraction of a limited time that choosing those steps is expected to take and may take. Most
 # fineness of the mesh for it: a rough one, on which a contact is not resolved, needs shorter steps.
 CHOOSING, CHOOSING_MOST, CHOSEN_ON = 0.25, 0.5, 0.5
-# Fineness of the first mesh if the time is limited: a second or two on one core. A GPU takes about
-# as long for a finer one, which has a state more often where skin folds at an edge; a coarser one
-# follows if that takes more than `FIRST` of the time, or has none.
+# Fineness of the first mesh if the time is limited, finer on a GPU, which takes no longer for it;
+# the second follows if the first takes more than `FIRST` of the time, or has no state.
 QUICK, FIRST = {"cpu": (0.25, 0.15), "cuda": (0.375, 0.15)}, 1 / 3
 # Power of the fineness by which the time of a mesh grows: on a core about with the elements and
 # steps, on a GPU with launches. Fraction of the time left that a mesh may take by it; and
@@ -236,8 +235,8 @@ class _Chain:
             return fine, estimate_of(fine, wanted)
         floor = max(FLOOR, UNBALANCED * self.settings[-1].tolerance)
         third = self.companion(companion)
-        coarser = [self.results[index] for index in (companion, third) if index is not None]
-        return extrapolated(coarser, fine, wanted, floor)
+        coarsest = None if third is None else self.results[third]
+        return extrapolated(self.results[companion], fine, wanted, floor, coarsest)
 
 
 class _Search:
@@ -548,25 +547,23 @@ def _of_layer(
 
 
 def extrapolated(
-    coarser: Sequence[Result], fine: Result, wanted: Tolerance, floor: float
+    coarse: Result, fine: Result, wanted: Tolerance, floor: float, coarsest: Result | None = None
 ) -> tuple[Result, float]:
-    """Return `fine` with the forces extrapolated from two meshes, and its error as a tolerance.
+    """Return `fine` with the forces extrapolated from both meshes, and its error as a tolerance.
 
-    `coarser` is the other mesh, and perhaps a third one to judge the extrapolation by. Displacement
-    and traction stay those of `fine`. `floor` is the least stated error of the force, over the
-    force.
+    Displacement and traction stay those of the finer mesh. `floor` is the least stated error of the
+    force, over the force. `coarsest` is a third mesh to judge the extrapolation by.
     """
-    coarse = coarser[0]
     ratio = elements_ratio(coarse, fine)
     left = left_of_difference(ratio)
-    step = (fine.wrench - coarse.wrench) * left
-    result = with_symmetry(replace(fine, wrench=fine.wrench + step))
+    result = with_symmetry(_limit(coarse, fine))
     size = np.linalg.norm(result.force, axis=1)
     scale = force_scale(result.force)
     apart = np.abs(fine.force - coarse.force).max(axis=1)
     unsure = _most_of_difference(coarse, fine) * apart
-    if len(coarser) > 1:
-        unsure = unsure * _converged(coarser[1], coarse, fine, unsure / scale)
+    if coarsest is not None:
+        apart_before = np.abs(result.force - _limit(coarsest, coarse).force).max(axis=1) / scale
+        unsure = unsure * _converged(apart_before, ratio, unsure / scale)
     unsure = np.maximum(unsure, edge_errors(fine) * size)
     unsure, waves = _with_waves(coarse, fine, unsure / scale, apart / scale)
     newton = np.maximum(unsure, vanishing_share(result)) * scale
@@ -589,18 +586,20 @@ def extrapolated(
     return replace(result, record={**result.record, "error": error}), float(value[wanted.kind])
 
 
-def _converged(coarsest: Result, coarse: Result, fine: Result, unsure: Array) -> float:
+def _limit(coarse: Result, fine: Result) -> Result:
+    """Return `fine` with the forces and torques that both meshes tend to (Richardson 1911)."""
+    left = left_of_difference(elements_ratio(coarse, fine))
+    return replace(fine, wrench=fine.wrench + (fine.wrench - coarse.wrench) * left)
+
+
+def _converged(apart: Array, ratio: float, unsure: Array) -> float:
     """Return the error of extrapolated forces by three meshes, over that by two: `unsure`, at most.
 
-    Forces extrapolated from two pairs of meshes differ by more than their remaining error, if that
-    falls at least as the elements' length. At least `CONVERGED`, and for all frames the same: in
-    one of them both may agree by chance.
+    Those of two pairs of meshes are `apart`; what they still err by is less, if it falls at least
+    as the elements' length, whose ratio is given. At least `CONVERGED`, and for all frames the
+    same: in one of them both may agree by chance.
     """
-    first, second = elements_ratio(coarsest, coarse), elements_ratio(coarse, fine)
-    before = coarse.force + (coarse.force - coarsest.force) * left_of_difference(first)
-    after = fine.force + (fine.force - coarse.force) * left_of_difference(second)
-    apart = np.abs(after - before).max(axis=1) / force_scale(after)
-    left = left_of_difference(second, order=1.0) * apart.max()
+    left = left_of_difference(ratio, order=1.0) * apart.max()
     return float(np.clip(left / max(float(unsure.max()), 1e-9), CONVERGED, 1.0))
 
 

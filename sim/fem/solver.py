@@ -129,8 +129,7 @@ def simulate_fem(
                 alike, numerics, wanted, device, onward.again(), failed=failed
             )
         else:
-            anew = required is None
-            outcomes = _following(alike, wanted, numerics, device, onward, anew=anew)
+            outcomes = _following(alike, wanted, numerics, device, onward, anew=required is None)
             _on_coarser(outcomes, alike, wanted, numerics, device, onward)
         for row, outcome, size in zip(rows, outcomes, wanted, strict=True):
             solved[row] = outcome
@@ -190,6 +189,9 @@ def _following(
     for attempt in range(1, REMESHED + 1):
         again: dict[Precision, list[int]] = {}
         for i, outcome in enumerate(outcomes):
+            useful = isinstance(outcome, Result) and isinstance(checked(outcome), Result)
+            if useful and not anew:
+                continue
             if isinstance(outcome, Result) and "stiffening" not in outcome.record:
                 more = more_wanted(outcome)
             elif isinstance(outcome, Crossed) and attempt == 1 and outcome.leaps:
@@ -200,8 +202,7 @@ def _following(
                 continue
             if isinstance(outcome, Result):
                 before, coarse[i] = coarse[i], coarseness(outcome)
-                useful = isinstance(checked(outcome), Result)
-                if useful and (not anew or coarse[i] >= LESS_COARSE * before):
+                if useful and coarse[i] >= LESS_COARSE * before:
                     continue
             sizes[i] = sizes[i].joined(more)
             again.setdefault(precision_for_finer(outcome, numerics), []).append(i)

@@ -135,7 +135,7 @@ def test_forces_of_two_meshes_say_what_symmetry_forbids_of_them() -> None:
     wrench = coarse.wrench.copy()
     wrench[1, 1] -= 0.1
     wanted = tolerance_of("5 %")
-    found, _error = extrapolated([replace(coarse, wrench=wrench)], fine, wanted, floor=1e-3)
+    found, _error = extrapolated(replace(coarse, wrench=wrench), fine, wanted, floor=1e-3)
     assert found.wrench[1, 1] > 0.05
     fraction = found.record["symmetry"]["percent"]
     assert fraction == pytest.approx(100 * found.wrench[1, 1] / np.linalg.norm(found.force[1]))
