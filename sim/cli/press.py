@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Press, show and save every frame with contact and return the exit code.
 
-    Without a solution up to the end, what was reached is shown before the error.
+    Without a solution up to the end, the part that was reached is shown before the error.
     """
     began = time.perf_counter()
     scene = scene_of(options)
@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
 def _show(
     result: Result, options: argparse.Namespace, picture: Path | None, seconds: float
 ) -> None:
-    """Print a result and save what is asked for."""
+    """Print a result and save the parts asked for."""
     if options.save is not None:
         from sim.store import save_results
 

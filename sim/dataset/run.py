@@ -275,7 +275,7 @@ BYTES_MASK, BYTES_FIELD = 2_800, 12_600
 
 
 def contents(plan: DatasetPlan, missing: Sequence[Unit]) -> str:
-    """Return what units hold, in words: presses and how they are solved, frames, images, size."""
+    """Return the contents of units in words: presses, how they are solved, frames, images, size."""
     presses = frames = images = size = 0
     for unit in missing:
         family, rows = families(plan)[unit.family], _rows(plan, unit)

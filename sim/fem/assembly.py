@@ -440,7 +440,7 @@ def damping_time(scene: Scene, mesh: Mesh) -> float:
 
 
 def kernels_of(scenes: Sequence[Scene]) -> tuple[tuple[str, ...], IndenterTraits, bool]:
-    """Return what the kernels of a batch are compiled for.
+    """Return the sizes and effects that kernels of a batch are compiled for.
 
     The effects that are on, the traits of the indenters, and True if the pressure of one of the
     bodies is split (`sim.fem.element.VolumePressure`).
@@ -653,7 +653,7 @@ class Assembly:
         return overlap
 
     def measure_overlap(self, active, *, samples: int, states: int = 1) -> None:
-        """Measure what `overlap` returns, for `read`."""
+        """Measure the figures of `overlap`, for `read`."""
         state = self.state
         self._most_overlap.zero_()
         self._launch(

@@ -111,7 +111,7 @@ def time_steps(
     if numerics.step_factor is not None:
         return with_error(path.factor)
     best, factor = unmeasured(scene), 1
-    with suppress(OutOfTime):  # what was measured until then counts
+    with suppress(OutOfTime):  # measurements until then count
         best = with_error(1)
         while best.force.max(initial=0.0) > sought and factor < FACTOR_MOST:
             factor *= FINER  # one more solution each time

@@ -31,7 +31,7 @@ _ROOT = {
     wp.float64: {"integer": "long long", "bits": "6142909891733356544", "steps": "5"},
 }
 
-# What both kernels begin with: displacements of eight elements, their gradients h at the Gauss
+# Both kernels begin with: displacements of eight elements, their gradients h at the Gauss
 # points, and volume changes.
 _DEFORMED = """
     typedef $number number;
@@ -145,7 +145,7 @@ _DEFORMED = """
     wide stiffness = half * stiff * (1 + 1 / ((1 + theta) * (1 + theta)));
 $pressure"""
 
-# What both do first at a Gauss point: F, its cofactor, |F|^2, J and g = G J^(-2/3).
+# Both do first at a Gauss point: F, its cofactor, |F|^2, J and g = G J^(-2/3).
 _POINT = """
         wide f[3][3], c[3][3], square = 0;
         for (int i = 0; i < 3; ++i)

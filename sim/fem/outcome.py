@@ -157,7 +157,7 @@ class FrameCollector:
     def keep(
         self, frame: int, read: np.void, surface: Array, traction: Array, host: tuple[Any, ...]
     ) -> None:
-        """Store what was read of a frame, `READ`, and of the nodes of its top.
+        """Store the values read of a frame, `READ`, and of the nodes of its top.
 
         These have displacements (X, Y, 3) [m] and tractions (X, Y, 3) [Pa]. `host` has the values
         of `HOST` up to those of the steps to the frame, and its cost.
@@ -216,7 +216,7 @@ class FrameCollector:
     def result(self, record: dict[str, Any], numerics: Fem) -> Result:
         """Return the result; every frame must have been kept.
 
-        `record` has what all presses of the batch share.
+        `record` has the values that all presses of the batch share.
         """
         self.measure()
         entries = self._entries()

@@ -370,7 +370,7 @@ class Reached:
 
 
 def batch_key(scene: Scene, mesh: Mesh) -> tuple[object, ...]:
-    """Return what presses of one batch have in common: unit of length, topology and kernels."""
+    """Return the parts that presses of one batch share: unit of length, topology and kernels."""
     return scene.body.thickness, mesh.cells, kernels_of([scene])
 
 
@@ -430,7 +430,7 @@ class Batch:
             state.go_on(reached.history)
 
     def reached(self, chosen: list[int]) -> Reached:
-        """Return what the chosen environments have reached: their last accepted states."""
+        """Return the last accepted states of the chosen environments."""
         return Reached(
             history=self._assembly.state.history(chosen),
             collectors=[self._collectors[i] for i in chosen],

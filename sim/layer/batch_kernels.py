@@ -383,7 +383,7 @@ def contact_kernel(real, friction: bool, lanes: int):
             )  # fmt: skip
             residual = normal_residual(env, lane, many, local[2], zero, pressure, pressure, gap)
         else:
-            # What the guess has more than its own projection is not part of the displacement now.
+            # The guess less its own projection is not part of the displacement now.
             total(zero)
             for k in range(lane, many, lanes):
                 load[env, k] = guess[env, k] - held[env, k]

@@ -150,7 +150,7 @@ def _tip_velocity(pace: Pace, cell: float) -> np.ndarray:
 
 Progress = Callable[[float], None]
 
-# What a record has of the pace.
+# A record's values of the pace.
 PACE = "mass_scaling", "wave_speed", "tip_speed", "speed_ratio", "time_step", "courant", "steps"
 # Particles per cell and dimension below which the material falls apart into loose columns.
 COUPLED = 1.0

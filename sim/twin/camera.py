@@ -142,7 +142,7 @@ class Scenery:
     body: Body
     observations: Sequence[MarkerObservations]
     tops: Sequence[SurfaceField]
-    """Displacement of what carries the markers, at the points of each observation."""
+    """Displacement of the layer with the markers, at the points of each observation."""
 
     @classmethod
     def of(
