@@ -74,8 +74,9 @@ FIRST_LEAST, FIRST_MOST = 0.6, 1.5
 ALONG_EDGE = 4.0
 # Least ratio of the two meshes' element counts along each axis. Below it their difference is no
 # measure of the error, which for wide contacts lies in the layers and for narrow ones across the
-# contact.
-RATIO_LEAST = 1.2
+# contact. Part of two meshes' difference, over the error of the finer one, that is no error of
+# their size: where their nodes lie.
+RATIO_LEAST, PLACED = 1.2, 0.5
 # Least error of a force, over the force, that two meshes can measure.
 FLOOR = 1e-3
 # Out-of-balance force of the states over the allowed error of the force, and its maximum. Both
@@ -93,7 +94,7 @@ MARKERS = 1.5
 # a time for it.
 HOPELESS = 8.0
 # Most meshes whose error is measured, and that if the time is limited.
-ROUNDS, QUICK_ROUNDS = 4, 12
+ROUNDS, QUICK_ROUNDS = 5, 14
 # Largest ratio of fineness by which the next mesh's error is measured.
 APART_MOST = 2.2
 # Fineness of a mesh over the requested one, below which the limit on elements was reached.
@@ -106,10 +107,11 @@ CHOOSING, CHOOSING_MOST, CHOSEN_ON = 0.25, 0.5, 0.5
 # Fineness of the first mesh if the time is limited, finer on a GPU, which takes no longer for it;
 # the second follows if the first takes more than `FIRST` of the time, or has no state.
 QUICK, FIRST = {"cpu": (0.25, 0.15), "cuda": (0.375, 0.15)}, 1 / 3
-# Power of the fineness by which the time of a mesh grows: on a core about with the elements and
-# steps, on a GPU with launches. Fraction of the time left that a mesh may take by it; and
-# the least fineness that fits, over the last one, with which a finer mesh is tried all the same.
-TIME_POWER, SPENT, HOPE = {"cpu": 4.0, "cuda": 2.0}, 0.7, 0.7
+# Power of the nodes by which the time of a step grows: on a core about with them, on a GPU less, as
+# launches count as well. Fraction of the time left that a mesh may take by it, and how much more
+# with which a finer one is tried all the same; ratio of those compared.
+TIME_POWER = {"cpu": 1.25, "cuda": 0.5}
+SPENT, HOPE, FITTED = 0.7, 3.0, 0.93
 # Range of the ratio of fineness from one mesh to the next.
 FINER_LEAST, FINER_MOST = 1.25, 2.0
 # Elements beyond which a tolerance is rejected: a quarter of an hour on a CPU.
@@ -191,7 +193,7 @@ class _Chain:
         self._scene, self.steps, self._device = scene, steps, device
         from sim.fem.solver import Required
 
-        self._required = Required()
+        self.required = Required()
         self.settings: list[Fem] = []
         self.results: list[Result] = []
 
@@ -208,7 +210,7 @@ class _Chain:
             precision = precision_for_finer(self.results[-1], numerics)
             numerics = replace(numerics, precision=precision)
         (outcome,) = simulate_fem(
-            [self._scene], numerics, device=self._device, progress=progress, required=self._required
+            [self._scene], numerics, device=self._device, progress=progress, required=self.required
         )
         outcome = estimated(with_time(outcome, self.steps, numerics))
         if isinstance(outcome, SimulationDiverged):
@@ -218,12 +220,10 @@ class _Chain:
         return outcome
 
     def companion(self, of: int = -1) -> int | None:
-        """Return the index of the finest mesh that the error of one can be measured by."""
+        """Return the index of the coarser mesh that is expected to measure the least error."""
         fine, coarser = self.results[of], self.results[:of]
-        for index in range(len(coarser) - 1, -1, -1):
-            if least_ratio(coarser[index], fine) >= RATIO_LEAST:
-                return index
-        return None
+        some = [i for i, one in enumerate(coarser) if least_ratio(one, fine) >= RATIO_LEAST]
+        return min(reversed(some), key=lambda i: _inflation(coarser[i], fine), default=None)
 
     def measured(self, companion: int | None, wanted: Tolerance) -> tuple[Result, float]:
         """Return the last result and its error in the unit of `wanted`, estimated or by two meshes.
@@ -259,9 +259,8 @@ class _Search:
         self.best: tuple[float, Result, list[Fem], int | None] | None = None
         """Least error so far, in the unit of the tolerance; its result, the settings of the meshes
         up to its own, and the index of the mesh by which the error was measured."""
-        self._cost = 0.0
-        """Time of the last mesh over its fineness to the next power [s]."""
-        self._power = TIME_POWER[kind_of(device)]
+        self._seconds = self._cost = 0.0
+        """Time of the last mesh [s], and that over its `_work`."""
 
     def run(self) -> None:
         """Solve until the tolerance is reached, or finer meshes are of no use.
@@ -281,23 +280,29 @@ class _Search:
             chain, solved = self._begun(unmeasured(self._scene), states, self._quick[-1:])
         else:
             chain, solved = self._begun(None, states, self._quick)
-        steps = self._in_time(states)
+        steps = self._in_time(chain, states)
         if steps is not None and steps.factor > 1:
             states = replace(states, step_factor=steps.factor)
             chain, solved = self._begun(steps, states, self._quick)
         chain.steps = steps
         for _round in range(ROUNDS if self.until == math.inf else QUICK_ROUNDS):
-            affordable = self._affordable()
-            if affordable < HOPE * solved:
-                return self._tried.append("no time for a finer mesh")
-            fineness = min(fineness, max(affordable, FINER_LEAST * solved))
+            if self.until < math.inf:
+                left = SPENT * (self.until - time.monotonic())
+                least = FINER_LEAST * solved
+                if self._cost * self._work(chain, replace(states, fineness=least)) > HOPE * left:
+                    return self._tried.append("no time for a finer mesh")
+                fineness = self._fitting(chain, replace(states, fineness=fineness), least, left)
             (mesh,) = meshes_of([self._scene], replace(states, fineness=fineness))
             limited = limited or mesh.fineness < WHOLLY * fineness
             fineness = min(fineness, float(mesh.fineness))
-            if solved < fineness / APART_MOST:
-                self._solve(chain, replace(states, fineness=fineness / COMPANION))
-            solved = self._solve(chain, replace(states, fineness=fineness))
+            between = solved < fineness / APART_MOST
+            next_one = fineness / COMPANION if between else fineness
+            solved = self._solve(chain, replace(states, fineness=next_one))
             companion = chain.companion()
+            if between:
+                if companion is not None and self.until < math.inf:
+                    self._offer(chain, companion)
+                continue
             if companion is None:
                 self._tried.append(f"fineness {fineness:.3g}: no coarser mesh to measure by")
                 if self.until == math.inf:
@@ -344,27 +349,31 @@ class _Search:
     def _solve(self, chain: _Chain, numerics: Fem) -> float:
         """Solve on the next mesh, an answer if the time is limited; return its fineness."""
         began = time.perf_counter()
+        work = self._work(chain, numerics)
         chain.solve(numerics, self._progress)
-        self._cost = (time.perf_counter() - began) / numerics.fineness**self._power
+        self._seconds = time.perf_counter() - began
+        self._cost = self._seconds / work
         if self.until < math.inf:
             self._offer(chain, None)
         return numerics.fineness
 
-    def _in_time(self, states: Fem) -> TimeSteps | None:
+    def _in_time(self, chain: _Chain, states: Fem) -> TimeSteps | None:
         """Return the time steps of inertia, and their error; None without it."""
         from sim.fem.in_time import FINENESS, FINER, time_steps
         from sim.fem.stepping import limited
 
+        if self._scene.effects.inertia is None:
+            return None
         wanted = self._wanted
         sought = IN_TIME * (wanted.value if wanted.kind == "fraction" else 0.01)
         now = time.monotonic()
         fineness, left = FINENESS, self.until - now
-        if self._cost and left < math.inf:
-            most = (CHOOSING * left / (1 + FINER) / self._cost) ** (1 / self._power)
-            fineness = float(np.clip(most, self._quick[-1], CHOSEN_ON))
+        if left < math.inf:
+            most, seconds = replace(states, fineness=CHOSEN_ON), CHOOSING * left / (1 + FINER)
+            fineness = self._fitting(chain, most, self._quick[-1], seconds)
         free = replace(states, step_factor=None)
         with limited(now + CHOOSING_MOST * left):
-            return time_steps(self._scene, free, self._device, sought, fineness)
+            return time_steps(self._scene, free, self._device, sought, fineness, chain.required)
 
     def _offer(self, chain: _Chain, companion: int | None) -> float:
         """Make the last result the best one if its error is the least; return that error.
@@ -381,19 +390,29 @@ class _Search:
             self.best = error, result, list(chain.settings), companion
         return error
 
-    def _affordable(self) -> float:
-        """Return the fineness of a mesh that fits into the time left."""
-        if self.until == math.inf or not self._cost:
-            return math.inf
-        left = max(SPENT * (self.until - time.monotonic()), 0.0)
-        return float((left / self._cost) ** (1 / self._power))
+    def _work(self, chain: _Chain, numerics: Fem) -> float:
+        """Return steps times nodes to the `TIME_POWER` of the next mesh."""
+        from sim.fem.solver import work_of
+
+        nodes, steps = work_of(self._scene, numerics, chain.required)
+        return float((steps * nodes ** TIME_POWER[kind_of(self._device)]).sum())
+
+    def _fitting(self, chain: _Chain, numerics: Fem, least: float, seconds: float) -> float:
+        """Return the fineness from `least` up to this one of a mesh that fits into this time."""
+        fineness = max(numerics.fineness, least)
+        while fineness > least:
+            if self._cost * self._work(chain, replace(numerics, fineness=fineness)) <= seconds:
+                break
+            fineness = max(FITTED * fineness, least)
+        return fineness
 
     def cost_of(self, error: float, wanted: Tolerance) -> str:
         """Return the cost of the tolerance, in words."""
         if self.best is None or error == math.inf:
             return f"{wanted} was not reached"
-        finer = self.best[2][-1].fineness * (error / wanted.value) ** (1 / ORDER)
-        seconds = self._cost * finer**self._power
+        ratio = (error / wanted.value) ** (1 / ORDER)
+        finer = self.best[2][-1].fineness * ratio
+        seconds = self._seconds * ratio ** (1 + 3 * TIME_POWER[kind_of(self._device)])
         return (
             f"{wanted} was not reached: {with_unit(wanted.kind, error)}; it needs a fineness of "
             f"about {finer:.2g}, which takes about {seconds:.2g} s here, if a mesh may be so fine"
@@ -567,7 +586,7 @@ def extrapolated(
     unsure = np.maximum(unsure, edge_errors(fine) * size)
     unsure, waves = _with_waves(coarse, fine, unsure / scale, apart / scale)
     newton = np.maximum(unsure, vanishing_share(result)) * scale
-    further = further_errors(result)
+    further = further_errors(result, left_of_difference(ratio, order=1.0) * apart / scale)
     newton = newton + further * size + (steps_share(fine) + waves) * scale
     fraction = np.maximum(newton / scale, floor * (size > 0))
     moved = marker_errors(outcome_of(fine), outcome_of(coarse), fine.scene.body)
@@ -638,6 +657,13 @@ def _most_of_difference(coarse: Result, fine: Result) -> Array:
     at_edge = np.clip(ALONG_EDGE * finest / np.maximum(touched_edge(fine), 1e-9), 1.0, ratio)
     more = np.clip(SQUARE_FROM / fineness_of(coarse), at_edge, ratio + 1.0)
     return np.asarray(left_of_difference(ratio) * more)
+
+
+def _inflation(coarse: Result, fine: Result) -> float:
+    """Return the error that two meshes are expected to measure, over that of the finer one."""
+    apart = elements_ratio(coarse, fine) ** ORDER - 1.0 + PLACED
+    rough = max(1.0, SQUARE_FROM / coarse.record["mesh"]["fineness"])
+    return float(apart * rough * left_of_difference(least_ratio(coarse, fine)))
 
 
 def elements_ratio(coarse: Result, fine: Result) -> float:

@@ -237,6 +237,7 @@ READ = np.dtype(
         ("torque", float, 3),
         ("body", float, 3),
         ("energy", float),
+        ("sunk", float),
         ("penetration", float),
         ("pressure", float),
         ("excess", float),
@@ -246,13 +247,13 @@ READ = np.dtype(
 )
 """Sums: force of the indenter on the body, its torque about the tip, weight less inertia, energy of
 the material at rest modulus, sticking springs and height (energy in penetration is left out:
-penetration is an error, reported as `contact`). Greatest: penetration of a contact point, pressure,
-and |shear| - coefficient * pressure, 0 at least. Then `OVERLAPS`, and the
-face with the largest overlap, the first of several."""
+penetration is an error, reported as `contact`), and pressure times penetration, of either sign.
+Greatest: penetration of a contact point, pressure, and |shear| - coefficient * pressure, 0 at
+least. Then `OVERLAPS`, and the face with the largest overlap, the first of several."""
 READ_COLUMNS = READ.itemsize // 8
 # Columns of each node of the top: displacement and nodal force.
 TOP = 6
-READ_SUMS, MAXIMA = 10, 3
+READ_SUMS, MAXIMA = 11, 3
 FACE = READ_COLUMNS - 1
 
 
@@ -294,6 +295,7 @@ def reading_kernels(real, friction: bool, inertia: bool, gravity: bool, *, lanes
         torque = wp.vec3d()
         body = wp.vec3d()
         energy = zero
+        sunk = zero
         maxima = maxima_type()
         worst = zero
         face = int(mesh.faces.shape[0])
@@ -323,6 +325,7 @@ def reading_kernels(real, friction: bool, inertia: bool, gravity: bool, *, lanes
                     if here > zero:
                         deep = (here - wp.float64(contact.multiplier[env, s, p])) / penalty
                         maxima[0] = wp.max(maxima[0], deep)
+                        sunk += wp.abs(deep) * here * area
                         maxima[1] = wp.max(maxima[1], here)
                     place = (
                         x0 * mesh.shape[p, 0]
@@ -350,6 +353,7 @@ def reading_kernels(real, friction: bool, inertia: bool, gravity: bool, *, lanes
             sums[3 + axis] = torque[axis]
             sums[6 + axis] = body[axis]
         sums[9] = energy
+        sums[10] = sunk
         if wp.static(lanes > 1):
             for column in range(READ_SUMS):
                 sums[column] = wp.tile_sum(wp.tile(sums[column]))[0]

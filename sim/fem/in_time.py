@@ -16,7 +16,7 @@ from sim.arrays import Array
 from sim.errors import SimulationDiverged
 from sim.fem import Fem
 from sim.fem.mesh import meshes_of
-from sim.fem.solver import simulate_fem
+from sim.fem.solver import Required, simulate_fem
 from sim.fem.stepping import OutOfTime, Path, path_of
 from sim.result import Outcome, Result, force_scale
 from sim.scene import Scene
@@ -87,12 +87,18 @@ def with_time(outcome: Outcome, steps: TimeSteps | None, numerics: Fem) -> Outco
 
 
 def time_steps(
-    scene: Scene, numerics: Fem, device: str, sought: float = SOUGHT, fineness: float = FINENESS
+    scene: Scene,
+    numerics: Fem,
+    device: str,
+    sought: float = SOUGHT,
+    fineness: float = FINENESS,
+    required: Required | None = None,
 ) -> TimeSteps | None:
     """Return the steps in time of a scene and their error; None without inertia.
 
     With `numerics.step_factor` that many; else as many as an error of `sought` needs, on a mesh of
-    this `fineness`, or as the scene's own if the time for others is over.
+    this `fineness`, or as the scene's own if the time for others is over. `required` is what
+    coarser meshes have shown the mesh to need; it is not rebuilt then.
     """
     if scene.effects.inertia is None:
         return None
@@ -105,7 +111,9 @@ def time_steps(
     def with_error(factor: int) -> TimeSteps:
         for times in {factor, FINER * factor} - set(solved):
             settings = replace(coarse, step_factor=times)
-            solved[times] = _forces(*simulate_fem([scene], settings, device=device))
+            sizes = None if required is None else required.copy()
+            outcomes = simulate_fem([scene], settings, device=device, required=sizes)
+            solved[times] = _forces(*outcomes)
         return TimeSteps(factor, _of_inertia(solved[factor], solved[FINER * factor], scene))
 
     if numerics.step_factor is not None:

@@ -376,6 +376,24 @@ def following_mesh(
 
     `at_least` is the least numbers of elements along x and y.
     """
+    return _mesh(scene.body, *_following_axes(scene, sizes, fineness, elements_max, at_least))
+
+
+def nodes_of(scene: Scene, sizes: Sizes, numerics: Fem) -> tuple[int, float]:
+    """Return the number of nodes of such a mesh, and its smallest element in plan, unbuilt."""
+    most = numerics.elements_max or ELEMENTS_DEFAULT["cpu"]
+    x, y, fraction, _fineness = _following_axes(scene, sizes, numerics.fineness, most)
+    return len(x) * len(y) * len(fraction), float(min(np.diff(x).min(), np.diff(y).min()))
+
+
+def _following_axes(
+    scene: Scene,
+    sizes: Sizes,
+    fineness: float,
+    elements_max: int,
+    at_least: tuple[int, int] = (0, 0),
+) -> tuple[Array, Array, Array, float]:
+    """Return the arguments of `_mesh` for `following_mesh`."""
     body, unit = scene.body, scene.body.thickness
     effects = scene.effects
     whole = effects.gravity is not None or effects.inertia is not None or not sizes.x
@@ -407,7 +425,7 @@ def following_mesh(
             break
         fineness *= 0.95
     depth = np.interp(np.linspace(0.0, down[0][-1], layers + 1), *down)
-    return _mesh(body, x / unit, y / unit, 1.0 - depth[::-1] / unit, fineness)
+    return x / unit, y / unit, 1.0 - depth[::-1] / unit, fineness
 
 
 # Number of layers of elements above which it is rounded up to an even number.

@@ -9,12 +9,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from recorder.progress import span_of
+from sim.arrays import Array
 from sim.device import check_device, kind_of
 from sim.errors import SimulationDiverged
 from sim.fem import ELEMENTS_DEFAULT, FINENESS_LEAST, PENALTY_MOST, Fem, Precision
 from sim.fem.assembly import damping_time
 from sim.fem.matrix import NODES_SIDE_BY_SIDE
-from sim.fem.mesh import Mesh, meshes_of
+from sim.fem.mesh import Mesh, meshes_of, nodes_of
 from sim.fem.outcome import checked, coarseness, more_wanted, required_by, wanted_of_overlap
 from sim.fem.sizing import Sizes, coarser_than_required, stages_of
 from sim.fem.stepping import Batch, Crossed, batch_key, path_of
@@ -32,6 +33,10 @@ class Required:
     stiffer: dict[tuple[int, int], str] = field(default_factory=dict)
     """Why a skin that does not stiffen has no solution."""
 
+    def copy(self) -> Required:
+        """Return one to which more is added without a change of this."""
+        return Required(dict(self.sizes), dict(self.stiffer))
+
     def add(self, key: tuple[int, int], outcome: Outcome, sizes: Sizes) -> None:
         """Add what an outcome on a mesh of these sizes requires of a finer one."""
         if isinstance(outcome, Result):
@@ -46,6 +51,17 @@ class Required:
             elif mesh["fineness"] >= TELLING:
                 self.stiffer[key] = outcome.record["stiffening"]["reason"]
         self.sizes[key] = sizes
+
+
+def work_of(scene: Scene, numerics: Fem, required: Required) -> tuple[Array, Array]:
+    """Return nodes and steps (S,) of the meshes, one a stage, that `simulate_fem` begins with."""
+    work = []
+    for stage in stages_of(scene):
+        sizes = required.sizes.get((0, stage.waypoints), stage.sizes)
+        count, finest = nodes_of(scene, sizes, numerics)
+        work.append((count, path_of(beginning_of(scene, stage.waypoints), numerics, finest).steps))
+    nodes, steps = np.array(work, float).T
+    return nodes, steps
 
 
 # Most times that a mesh is rebuilt because the solution shows that it was too coarse.

@@ -120,10 +120,14 @@ def test_the_best_answer_stands_where_finer_meshes_have_none(
 def test_within_a_time_the_best_answer_is_given_and_its_plan_replays_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Whatever the machine: the affordable fineness is set here."""
-    afforded = [0.48, 0.3]
+    """Whatever the machine: one mesh fits into the time, and then none."""
     entries = ["fineness 0.25", "fineness 0.48", "fineness 0.48"]
-    monkeypatch.setattr(module._Search, "_affordable", lambda _search: afforded.pop(0))
+
+    def fitting(*_mesh: Any) -> float:
+        monkeypatch.setattr(module, "HOPE", 0.0)
+        return 0.48
+
+    monkeypatch.setattr(module._Search, "_fitting", fitting)
     result = plan(BALL, "0.5 %", seconds=1e3, only="fem").run()
     entry = result.record["plan"]
     assert [one.split(":")[0] for one in entry["tried"]] == entries
@@ -156,7 +160,7 @@ def test_a_first_mesh_that_takes_too_long_or_has_no_state_is_followed_by_a_coars
 
     monkeypatch.setattr(solver, "simulate_fem", simulate)
     monkeypatch.setitem(module.QUICK, "cpu", tuple(begin))
-    monkeypatch.setattr(module._Search, "_affordable", lambda _search: 0.0)
+    monkeypatch.setattr(module, "HOPE", 0.0)
     result = plan(BALL, "0.5 %", seconds=1e3, only="fem").run()
     entry = result.record["plan"]
     assert entry["tried"][:2] == [
