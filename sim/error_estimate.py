@@ -191,7 +191,7 @@ def _of_elements(result: Result) -> dict[str, Any]:
     fraction = np.sqrt(resolved**2 + squeezed**2 + by_edge**2 + further_errors(result) ** 2)
     # A contact smaller than an element has a force, but no width.
     fraction[np.isinf(fineness) & result.force.any(axis=1)] = 1.0
-    fraction = _weighed(result, fraction) + time_share(result)
+    fraction = _weighed(result, fraction) + steps_share(result) + waves_share(result)
     # A press that overlaps the skin without a force has missed it.
     pressed = np.array([point[2] < 0 for point in result.scene.motion.tip])
     by = "how finely the contact is meshed" + (", and steps in time" * ("time" in result.record))
@@ -222,11 +222,6 @@ def edge_errors(result: Result) -> Array:
     across = np.maximum(touched, ACROSS_EDGE * finest) / width
     lengths = finest / np.maximum(touched, 1e-9)
     return np.asarray(np.minimum(np.minimum(EDGE_MOST, across), PER_EDGE * lengths**2))
-
-
-def time_share(result: Result) -> Array:
-    """Return the error by steps in time and by waves of each frame (F,), over the force."""
-    return steps_share(result) + waves_share(result)
 
 
 def steps_share(result: Result) -> Array:
@@ -272,14 +267,15 @@ def further_errors(result: Result, measured: Array | None = None) -> Array:
 
     record, frames = result.record, np.arange(len(result.force))
     through = overlap_shares(result, result.quality.overlap)
-    fraction = np.minimum(PER_SUNK * np.array(record["sunk"]), 1.0)
+    folded = overlap_shares(result, np.array(record["self_overlap"]["metres"]))
+    fraction = np.minimum(PER_SUNK * result.quality.contact, 1.0)
+    fraction = fraction + PER_OVERLAP * np.maximum(folded - OVERLAP_GOOD, 0.0)
     if record["mesh"].get("finer_failed"):
         fraction = fraction + PER_OVERLAP * through
     stiffening = record.get("stiffening")
     if stiffening is not None:
-        folded = overlap_shares(result, np.array(record["self_overlap"]["metres"]))
-        both = np.maximum(through - OVERLAP_GOOD, 0) + np.maximum(folded - OVERLAP_GOOD, 0)
-        changed = np.array(stiffening["correction"]) + PER_OVERLAP * both
+        through = PER_OVERLAP * np.maximum(through - OVERLAP_GOOD, 0.0)
+        changed = np.array(stiffening["correction"]) + through
         fraction = fraction + np.where(frames < stiffening["waypoint"], 0.0, changed)
     at_rim, at_wall = record.get("rim", []), record.get("wall", [])
     by_rim = AT_RIM / fineness_of(result)

@@ -29,7 +29,9 @@ class Quality:
     """Out-of-balance nodal force over contact force (l2 norms). Here and in `balance`, `fem` uses
     at least 1e-3 E T^2 (float64: 1e-5) as the force: 2 mN in the paper's gel."""
     contact: Array
-    """Deepest penetration of a contact point over the depth of the press."""
+    """Penetration over the depth of the press: of `fem` the mean over contact points, weighted by
+    their pressure, and the depth at least twice the energy over the force; of others the deepest.
+    """
     balance: Array
     """|force of the indenter + reaction of the base (+ weight, inertia)| over |force|."""
     energy_gap: Array

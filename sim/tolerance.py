@@ -86,8 +86,9 @@ FLOOR = 1e-3
 STATES, STATES_MOST = 0.01, 3e-4
 # Error of a force over the out-of-balance force of its state, for light and wide contacts.
 UNBALANCED = 10.0
-# Least error of an extrapolated force by three meshes over that by two.
-CONVERGED = 1 / 3
+# Least error of an extrapolated force by three meshes over that by two; and the most order by which
+# their differences fall: two that agree better do so by chance.
+CONVERGED, STEEPEST = 1 / 3, 3.0
 # Error of markers over the remaining difference of both meshes.
 MARKERS = 1.5
 # Required elements over allowed ones above which a tolerance is not tried further, unless there is
@@ -295,11 +296,11 @@ class _Search:
             (mesh,) = meshes_of([self._scene], replace(states, fineness=fineness))
             limited = limited or mesh.fineness < WHOLLY * fineness
             fineness = min(fineness, float(mesh.fineness))
-            between = solved < fineness / APART_MOST
-            next_one = fineness / COMPANION if between else fineness
-            solved = self._solve(chain, replace(states, fineness=next_one))
+            far = solved < fineness / APART_MOST
+            nearer = fineness / COMPANION if far else fineness
+            solved = self._solve(chain, replace(states, fineness=nearer))
             companion = chain.companion()
-            if between:
+            if far:
                 if companion is not None and self.until < math.inf:
                     self._offer(chain, companion)
                 continue
@@ -579,6 +580,10 @@ def extrapolated(
     size = np.linalg.norm(result.force, axis=1)
     scale = force_scale(result.force)
     apart = np.abs(fine.force - coarse.force).max(axis=1)
+    if coarsest is not None:
+        before = np.abs(coarse.force - coarsest.force).max(axis=1)
+        least = (1.0 - ratio**-STEEPEST) / (elements_ratio(coarsest, coarse) ** STEEPEST - 1.0)
+        apart = np.maximum(apart, least * before)
     unsure = _most_of_difference(coarse, fine) * apart
     if coarsest is not None:
         apart_before = np.abs(result.force - _limit(coarsest, coarse).force).max(axis=1) / scale
@@ -660,10 +665,15 @@ def _most_of_difference(coarse: Result, fine: Result) -> Array:
 
 
 def _inflation(coarse: Result, fine: Result) -> float:
-    """Return the error that two meshes are expected to measure, over that of the finer one."""
-    apart = elements_ratio(coarse, fine) ** ORDER - 1.0 + PLACED
+    """Return the error that two meshes may measure, or miss, over that of the finer one.
+
+    Meshes far apart miss most of an error that falls more slowly than its order.
+    """
+    ratio = elements_ratio(coarse, fine)
     rough = max(1.0, SQUARE_FROM / coarse.record["mesh"]["fineness"])
-    return float(apart * rough * left_of_difference(least_ratio(coarse, fine)))
+    missed = max(1.0, (ratio + 1.0) / (COMPANION + 1.0))
+    apart = ratio**ORDER - 1.0 + PLACED
+    return float(apart * rough * missed * left_of_difference(least_ratio(coarse, fine)))
 
 
 def elements_ratio(coarse: Result, fine: Result) -> float:

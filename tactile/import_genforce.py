@@ -20,7 +20,7 @@ from recorder.progress import ItemProgress
 # Folders of the published layouts.
 _FOLDERS = ("img", "image", "uskin_raw")
 # Names of files with the authors' weights.
-_WEIGHTS = (".pkl", ".pth")
+WEIGHTS = (".pkl", ".pth")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -92,11 +92,6 @@ def _may_be_genforce(path: Path) -> bool:
     folders = [path, *(each for each in path.iterdir() if each.is_dir())]
     named = any((each / name).is_dir() for each in folders for name in _FOLDERS)
     return named or any(path.glob("*_ref.jpg"))
-
-
-def are_weights(paths: Sequence[Path]) -> bool:
-    """Return True if the path is a file of weights."""
-    return len(paths) == 1 and paths[0].suffix in _WEIGHTS
 
 
 def import_weights(file: Path, options: argparse.Namespace) -> int:

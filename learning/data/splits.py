@@ -239,7 +239,7 @@ def read_split(path: Path) -> Split:
         raise LearningError(f"{path}: found format {written}; allowed: {(_FORMAT, _VERSION)}")
     try:
         presses = [
-            PressKey(int(location), str(name), int(target), _role(role))
+            PressKey(int(location), str(name), int(target), require_role(role))
             for role, indenters in document["presses"].items()
             for name, listed in indenters.items()
             for target, location in listed
@@ -276,15 +276,11 @@ def presses_of(archive: MarkerArchive) -> dict[int, tuple[str, int]]:
     return presses
 
 
-def require_role(role: str) -> None:
-    """Reject an unknown role."""
+def require_role(role: str) -> Role:
+    """Return a role; reject an unknown one."""
     if role not in ROLES:
         raise LearningError(f"role: found {role!r}; allowed: {', '.join(ROLES)}")
-
-
-def _role(text: str) -> Role:
-    require_role(text)
-    return text  # type: ignore[return-value]
+    return role
 
 
 def _shuffled(presses: Iterable[tuple[str, int]], seed: int) -> list[tuple[str, int]]:

@@ -113,7 +113,9 @@ def sequences(shown: Sequence[Predictions], presses: int, seed: int) -> bytes:
         every = figure.subplots(3, 1, sharex=True)
         for axis, axes in enumerate(every):
             for index, one in enumerate(shown):
-                rows = _of_presses(one, chosen)
+                parts = [np.flatnonzero(one.location == location) for location in chosen]
+                parts = [part[np.argsort(one.frame[part], kind="stable")] for part in parts]
+                rows = np.concatenate([np.empty(0, np.int64), *parts])
                 if index == 0:
                     axes.plot(one.true[rows, axis], color=INK, label="true")
                     for end in np.flatnonzero(np.diff(one.location[rows])):
@@ -164,10 +166,3 @@ def embeddings(
             axes.set(title=title, xticks=[], yticks=[])
             axes.legend()
     return png.getvalue()
-
-
-def _of_presses(one: Predictions, locations: NDArray[Any]) -> NDArray[np.int64]:
-    """Return the indices of the frames of some presses, ordered by press and time."""
-    parts = [np.flatnonzero(one.location == location) for location in locations]
-    ordered = [part[np.argsort(one.frame[part], kind="stable")] for part in parts]
-    return np.concatenate([np.empty(0, np.int64), *ordered])

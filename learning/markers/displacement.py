@@ -278,18 +278,14 @@ class Matcher:
         assigned = assigned.copy()
         while True:
             matched = assigned >= 0
-            moved = self._completed(offset, matched, start)
+            moved = offset
+            if not matched.all():  # lost ones move as expected, and deviate as the others do
+                moved = start + self.spline.filled(offset - start, matched)
             surprise = np.where(matched, self.spline.surprise(moved), 0.0)
             worst = int(surprise.argmax())
             if surprise[worst] <= GATE * self.pitch_px:
                 return assigned, moved
             assigned[worst] = -1
-
-    def _completed(self, offset: Floats, matched: Chosen, start: Floats) -> Floats:
-        if matched.all():
-            return offset
-        # Lost markers move as expected, plus the deviation of the others from their expectation.
-        return start + self.spline.filled(offset - start, matched)
 
     def _cut(self, mask: Masks, patches: Blobs, expected: Floats) -> Blobs | None:
         """Return detections with merged patches divided between markers; None if there are none."""

@@ -151,7 +151,10 @@ class RunFolder:
             name: value.state_dict() if hasattr(value, "state_dict") else value
             for name, value in training.items()
         }
-        torch.save({**states, _RNG: _rng_state()}, building / TRAINING)
+        states[_RNG] = {"cpu": torch.get_rng_state()}
+        if torch.cuda.is_available():
+            states[_RNG]["cuda"] = torch.cuda.get_rng_state()
+        torch.save(states, building / TRAINING)
         _read_training(building / TRAINING)
         replace(self.config, step=step, score=score).write(building)
         for file in building.iterdir():
@@ -198,7 +201,9 @@ class RunFolder:
                 value.load_state_dict(states[name])
             except (ValueError, KeyError, RuntimeError) as error:
                 raise LearningError(f"{folder / TRAINING}.{name}: does not fit: {error}") from error
-        _set_rng_state(states[_RNG])
+        torch.set_rng_state(states[_RNG]["cpu"])
+        if "cuda" in states[_RNG] and torch.cuda.is_available():
+            torch.cuda.set_rng_state(states[_RNG]["cuda"])
         step = read_config(folder).step
         if step is None:
             raise LearningError(f"{folder / CONFIG}.step: missing; allowed: a number of steps")
@@ -284,19 +289,6 @@ def _read_training(path: Path) -> dict[str, Any]:
     except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError) as error:
         raise LearningError(f"{path}: damaged, or not plain states: {error}") from error
     return states
-
-
-def _rng_state() -> dict[str, Tensor]:
-    state = {"cpu": torch.get_rng_state()}
-    if torch.cuda.is_available():
-        state["cuda"] = torch.cuda.get_rng_state()
-    return state
-
-
-def _set_rng_state(state: Mapping[str, Tensor]) -> None:
-    torch.set_rng_state(state["cpu"])
-    if "cuda" in state and torch.cuda.is_available():
-        torch.cuda.set_rng_state(state["cuda"])
 
 
 # Devices of a training: one process, or the number that `torchrun` starts.

@@ -113,7 +113,9 @@ class TranslatedSensor:
         """Prepare both sensors and the rows of the source; nothing is translated yet."""
         self._source, self._target = _sensor(archive, pair.source), _sensor(archive, pair.target)
         self._table = self._source.table
-        self._presses = _press_of(self._table)
+        # Equal for all rows of a press (n, 3).
+        of_press = [self._table[name] for name in ("indenter", "target", "reference")]
+        self._presses = np.stack(of_press, axis=1).astype(np.int64)
         # By press, in time order; presses in order of first appearance.
         _, first, of = np.unique(
             self._presses[rows], axis=0, return_index=True, return_inverse=True
@@ -222,13 +224,6 @@ def _rows_of(
             f"{archive.name}: {pair.source} has no frames of role {', '.join(roles)}"
         )
     return rows
-
-
-def _press_of(table: Mapping[str, np.ndarray[Any, Any]]) -> NDArray[np.int64]:
-    """Return indenter, target and reference of each row (n, 3): equal for all rows of a press."""
-    return np.stack([table[name] for name in ("indenter", "target", "reference")], axis=1).astype(
-        np.int64
-    )
 
 
 def target_references(

@@ -340,19 +340,14 @@ def named(tracks: Sequence[RecordedTrack]) -> tuple[RecordedTrack, ...]:
     for track in tracks:
         name = track.stream or default_stream(track.kind)
         if name in names:
-            name = re.sub("[^A-Za-z0-9_]+", "_", bare_stream(track.source)).strip("_") or name
+            name = re.sub("[^A-Za-z0-9]+", "_", track.source.rpartition(":")[2]).strip("_")[:40]
+            name = (name if name[:1].isalpha() else f"s_{name}"[:40]).strip("_")
         number, unique = 2, name
         while unique in names:
             unique, number = f"{name}_{number}", number + 1
         names.add(unique)
         renamed.append(replace(track, stream=unique))
     return tuple(renamed)
-
-
-def bare_stream(source: str) -> str:
-    """Return a name for the stream of a file, topic or feature; it begins with a letter."""
-    name = re.sub("[^A-Za-z0-9]+", "_", source.rpartition(":")[2]).strip("_")[:40]
-    return name if name[:1].isalpha() else f"s_{name}"[:40]
 
 
 def every(places: ArrayLike, rate_hz: float) -> Times:

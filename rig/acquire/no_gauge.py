@@ -54,13 +54,6 @@ def search_depth(bench: Bench) -> float:
     return min(SEARCH_BELOW, bench.limits.depth_max, deepest)
 
 
-def search_plan(bench: Bench) -> Touch:
-    """Return the search for the surface at the first point."""
-    return Touch(
-        travel=search_depth(bench), clearance=SEARCH_ABOVE, repeats=1, dome_radius=bench.dome_radius
-    )
-
-
 def touch_plan(bench: Bench) -> Touch:
     """Return the touches around the surface that the search found, at all points of the plan."""
     plan = bench.trajectory
@@ -233,9 +226,10 @@ def _is_found(file: BenchFile, calibration: Calibration) -> bool:
 def find_surface(file: BenchFile, record: Record) -> HomeCalibration:
     """Search and touch the surface of a bench as its file describes it; return the calibration."""
     bench = file.bench
+    travel, radius = search_depth(bench), bench.dome_radius
     session = record(
         "search",
-        search_plan(bench),
+        Touch(travel=travel, clearance=SEARCH_ABOVE, repeats=1, dome_radius=radius),
         lambda ready: slowed(ready, search_depth(ready)),
         contact_change=CONTACT,
     )

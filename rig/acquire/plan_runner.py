@@ -288,7 +288,10 @@ class PlanRunner:
             logger.warning("target %d: halted: %s", target.index + 1, released)
             self._point = None
             self._live.at(target, None)
-            self._rise(target)
+            # Straight up from the press, clear of the surface, to retract height.
+            x, y, z = tip_position(self._streams)
+            self._move((x, y, max(z, target.origin[2])), mode="retreat")
+            self._move((x, y, max(z, self._bench.arm.retract)), mode="travel")
             self._interlocks.disarm()
             return False
         return True
@@ -314,12 +317,6 @@ class PlanRunner:
         if paused_by:
             return f"paused by the {' and the '.join(paused_by)}"
         return None if self._interlocks.armed() else f"waiting: {self._interlocks.wish}"
-
-    def _rise(self, target: Target) -> None:
-        """Move straight up from an interrupted press, clear of the surface, to retract height."""
-        x, y, z = tip_position(self._streams)
-        self._move((x, y, max(z, target.origin[2])), mode="retreat")
-        self._move((x, y, max(z, self._bench.arm.retract)), mode="travel")
 
     def _go_to_point(self, target: Target) -> None:
         """Move up, to the point at a safe height, down to p0, and take the point's reference."""

@@ -111,7 +111,8 @@ class _Finger:
             while left > 0:
                 length = float(np.linalg.norm(np.subtract(goal, tip)))
                 if length > speed * left:
-                    tip = _towards(tip, goal, speed * left / length)
+                    way_on = np.subtract(goal, tip) * (speed * left / length)
+                    tip = tuple((tip + way_on).tolist())
                     break
                 tip, left = goal, left - length / speed
                 goal, speed = next(way)
@@ -128,11 +129,6 @@ def _way(bench: Bench) -> Iterator[tuple[Point, float]]:
         yield target.origin, arm.travel_speed
         for move in plan.moves(target):
             yield move.end, arm.speed
-
-
-def _towards(start: Point, goal: Point, fraction: float) -> Point:
-    x, y, z = (a + fraction * (b - a) for a, b in zip(start, goal, strict=True))
-    return (x, y, z)
 
 
 def _at_rate(file: BenchFile, rate_hz: float | None) -> BenchFile:

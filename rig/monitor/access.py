@@ -88,11 +88,6 @@ class AccessPolicy:
         """Name of the cookie; it contains the port, since browsers share cookies between ports."""
         return f"rig_watch_{self.port}"
 
-    @property
-    def set_cookie(self) -> str:
-        """Set-Cookie header that grants a browser access."""
-        return f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
-
     def knows_host(self, host: str | None) -> bool:
         """Return True if a Host header names this server, with any port (tunnels may change it).
 
@@ -115,10 +110,6 @@ class AccessPolicy:
             ours = socket.gethostname().lower()
             return name in (ours, f"{ours}.local", socket.getfqdn().lower())
         return True
-
-    def same_origin(self, origin: str | None, host: str | None) -> bool:
-        """Return True if an Origin header is that of this page."""
-        return bool(host) and origin == f"http://{host}"
 
     def may_open(self, path: str, cookies: str | None) -> bool:
         """Return True for a page of this machine, or with the token in path or Cookie header."""
@@ -213,13 +204,14 @@ class Site:
         body, kind = self._files[path]
         headers = headers_of(kind, len(body), host or "")
         if path == "/":
-            headers["Set-Cookie"] = self._access.set_cookie
+            grant = f"{self._access.cookie}={self._access.token}"
+            headers["Set-Cookie"] = f"{grant}; Path=/; HttpOnly; SameSite=Strict"
         return Response(http.HTTPStatus.OK, "OK", headers, body)
 
     def _refuse_live(
         self, request: Request, host: str | None, cookies: str | None, *, full: bool
     ) -> Response | None:
-        if not self._access.same_origin(single_header(request.headers, "Origin"), host):
+        if not host or single_header(request.headers, "Origin") != f"http://{host}":
             return text_of(http.HTTPStatus.FORBIDDEN, "Another site's page may not watch.\n")
         if not self._access.has_cookie(cookies):
             return text_of(http.HTTPStatus.FORBIDDEN, "Open the page first; it brings the token.\n")

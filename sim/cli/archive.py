@@ -130,7 +130,7 @@ def run(options: argparse.Namespace) -> int:
 def _fill(options: argparse.Namespace, opened: OpenArchive) -> int:
     """Make the missing units with progress, print a summary, and return the exit code."""
     from recorder.errors import SessionError
-    from recorder.processes import WorkerLost
+    from recorder.processes import WorkerLost, cores
     from recorder.progress import Progress
     from sim.dataset import fill
     from sim.dataset.run import contents, make_here, make_in_processes
@@ -141,7 +141,9 @@ def _fill(options: argparse.Namespace, opened: OpenArchive) -> int:
     kernels = ready_device(options.device)
     # Units in processes on a CPU, else in this one.
     make = make_in_processes if options.device == "cpu" else make_here
-    maker = partial(make, opened, device=options.device, processes=_processes(options))
+    usual = 2 if options.device == "cpu" else max(1, min(RENDERERS, cores() // 2))
+    processes = usual if options.processes is None else options.processes
+    maker = partial(make, opened, device=options.device, processes=processes)
     missing = opened.missing()
     work = contents(opened.plan, missing) if missing else "nothing is missing"
     print(f"{opened.path}: {work}", flush=True)
@@ -164,14 +166,6 @@ def _fill(options: argparse.Namespace, opened: OpenArchive) -> int:
         print(f"stopped: {error}; written files are kept; {go_on}", file=sys.stderr)
         return EXIT_WRONG_INPUT
     return 0
-
-
-def _processes(options: argparse.Namespace) -> int:
-    from recorder.processes import cores
-
-    if options.processes is not None:
-        return int(options.processes)
-    return 2 if options.device == "cpu" else max(1, min(RENDERERS, cores() // 2))
 
 
 def _solving(options: argparse.Namespace, *, smoke: bool) -> Solving:

@@ -238,7 +238,6 @@ READ = np.dtype(
         ("body", float, 3),
         ("energy", float),
         ("sunk", float),
-        ("penetration", float),
         ("pressure", float),
         ("excess", float),
         ("overlap", float, OVERLAPS),
@@ -248,12 +247,12 @@ READ = np.dtype(
 """Sums: force of the indenter on the body, its torque about the tip, weight less inertia, energy of
 the material at rest modulus, sticking springs and height (energy in penetration is left out:
 penetration is an error, reported as `contact`), and pressure times penetration, of either sign.
-Greatest: penetration of a contact point, pressure, and |shear| - coefficient * pressure, 0 at
-least. Then `OVERLAPS`, and the face with the largest overlap, the first of several."""
+Greatest: pressure and |shear| - coefficient * pressure, 0 at least. Then `OVERLAPS`, and the face
+with the largest overlap, the first of several."""
 READ_COLUMNS = READ.itemsize // 8
 # Columns of each node of the top: displacement and nodal force.
 TOP = 6
-READ_SUMS, MAXIMA = 11, 3
+READ_SUMS, MAXIMA = 11, 2
 FACE = READ_COLUMNS - 1
 
 
@@ -321,12 +320,11 @@ def reading_kernels(real, friction: bool, inertia: bool, gravity: bool, *, lanes
                         shear = wp.vec3d(contact.traction[env, s, p])
                         push += shear
                         energy += wp.dot(shear, shear) * area / (wp.float64(2.0) * spring)
-                        maxima[2] = wp.max(maxima[2], wp.length(shear) - coefficient[env] * here)
+                        maxima[1] = wp.max(maxima[1], wp.length(shear) - coefficient[env] * here)
                     if here > zero:
                         deep = (here - wp.float64(contact.multiplier[env, s, p])) / penalty
-                        maxima[0] = wp.max(maxima[0], deep)
                         sunk += wp.abs(deep) * here * area
-                        maxima[1] = wp.max(maxima[1], here)
+                        maxima[0] = wp.max(maxima[0], here)
                     place = (
                         x0 * mesh.shape[p, 0]
                         + x1 * mesh.shape[p, 1]

@@ -80,7 +80,9 @@ def with_time(outcome: Outcome, steps: TimeSteps | None, numerics: Fem) -> Outco
             return outcome
         followed = finest / scene.body.thickness if numerics.follows else np.inf
         path = path_of(scene, numerics, followed)
-        steps = TimeSteps(path.factor, _of_viscosity(scene, path))
+        few, many = (_relaxing(scene, path, finer) for finer in (1, EXACT))
+        error = OF_POWER * np.abs(few - many) / force_scale(many[:, None])
+        steps = TimeSteps(path.factor, np.asarray(error))
     force = [float(f"{one:.4g}") for one in steps.force[: len(outcome.force)]]
     time = {"factor": steps.factor, "force": force}
     return replace(outcome, record={**outcome.record, "time": time})
@@ -111,7 +113,7 @@ def time_steps(
     def with_error(factor: int) -> TimeSteps:
         for times in {factor, FINER * factor} - set(solved):
             settings = replace(coarse, step_factor=times)
-            sizes = None if required is None else required.copy()
+            sizes = required and Required(dict(required.sizes), dict(required.stiffer))
             outcomes = simulate_fem([scene], settings, device=device, required=sizes)
             solved[times] = _forces(*outcomes)
         return TimeSteps(factor, _of_inertia(solved[factor], solved[FINER * factor], scene))
@@ -165,13 +167,6 @@ def _forces(outcome: Outcome) -> Array:
         outcome.forget_dump()
         result = outcome.reached
     return result.force if isinstance(result, Result) else np.zeros((0, 3))
-
-
-def _of_viscosity(scene: Scene, path: Path) -> Array:
-    """Return the error by the steps of a path for a force that is a power of the depth (F,)."""
-    few, many = (_relaxing(scene, path, finer) for finer in (1, EXACT))
-    scale = force_scale(many[:, None])
-    return np.asarray(OF_POWER * np.abs(few - many) / scale)
 
 
 def _relaxing(scene: Scene, path: Path, finer: int) -> Array:

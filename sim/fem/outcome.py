@@ -229,10 +229,11 @@ class FrameCollector:
         lost = host["work"] - (energy - energy[0])
         slip = read["excess"] / np.maximum(read["pressure"], 1e-30)
         overlap = read["overlap"] * unit
+        worked = np.maximum(sizes[0] * host["depth"], 2 * energy)
         x, y = mesh.x * unit, mesh.y * unit
         quality = Quality(
             residual=host["residual"].copy(),
-            contact=read["penetration"] / np.maximum(host["depth"], 1e-6),
+            contact=read["sunk"] / np.maximum(worked, 1e-30),
             balance=sizes[2] / scale,
             energy_gap=np.where(most > 1e-9, lost / np.maximum(most, 1e-9), 0.0),
             det_f_min=host["det"].copy(),
@@ -265,9 +266,8 @@ class FrameCollector:
 
         `overlap` has the material point that was deepest inside the indenter, and the largest depth
         below the base plane; `self_overlap` the depth of the skin inside itself in each frame, and
-        the deepest point; `sunk` the mean penetration of points of contact in each frame, weighted
-        by their pressure, over the depth or that of the energy; `rim` and `wall` the waypoints at
-        which those of a round body are touched.
+        the deepest point; `rim` and `wall` the waypoints at which those of a round body are
+        touched.
         """
         mesh, unit = self._mesh, self._scene.body.thickness
         face = int(self._read["face"][np.argmax(self._read["overlap"][:, 0])])
@@ -277,11 +277,7 @@ class FrameCollector:
         if inside.any():
             node = int(self._host["self_node"][np.argmax(inside)])
             own["place"] = [float(one) for one in mesh.nodes[node] * unit]
-        pushed = np.linalg.norm(self._read["force"], axis=1) * self._host["depth"]
-        worked = np.maximum(pushed, 2 * self._read["energy"])
-        sunk = self._read["sunk"] / np.maximum(worked, 1e-30)
         return {
-            "sunk": [float(f"{one:.4g}") for one in sunk],
             "overlap": {
                 "place": [float(one) for one in point],
                 "below_base": self._below_base * unit,

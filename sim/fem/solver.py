@@ -33,10 +33,6 @@ class Required:
     stiffer: dict[tuple[int, int], str] = field(default_factory=dict)
     """Why a skin that does not stiffen has no solution."""
 
-    def copy(self) -> Required:
-        """Return one to which more is added without a change of this."""
-        return Required(dict(self.sizes), dict(self.stiffer))
-
     def add(self, key: tuple[int, int], outcome: Outcome, sizes: Sizes) -> None:
         """Add what an outcome on a mesh of these sizes requires of a finer one."""
         if isinstance(outcome, Result):

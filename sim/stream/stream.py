@@ -81,7 +81,10 @@ class LivePress(LayerPress):
         self._thickness = body.thickness
         self._far = _beyond_reach(indenter, body.size_x, body.size_y)
         still = sensor.scene(indenter, Motion(tip=((0.0, 0.0, 0.0),), time=(0.0,)))
-        self.scene = Scene(still.indenter, self._anywhere(), body=body, effects=still.effects)
+        # The gap is also evaluated where dragged material came from, at most a thickness away.
+        (x, y), low = (far + self._thickness for far in self._far), -self._deepest
+        anywhere = Motion(((0.0, 0.0, 0.0), (x, y, low), (-x, -y, low)), time=(0.0, 1.0, 2.0))
+        self.scene = Scene(still.indenter, anywhere, body=body, effects=still.effects)
         """Sensor and indenter, with a motion that spans all poses."""
         check_supported(self.scene, tolerance)
         super().__init__(self.scene, PixelGrid(body, grid), tolerance)
@@ -176,12 +179,6 @@ class LivePress(LayerPress):
             # Beside the body there is nothing to touch at any depth.
             near[2] = max(near[2], 0.0)
         return near
-
-    def _anywhere(self) -> Motion:
-        # The gap is also evaluated where dragged material came from, at most a thickness away.
-        (x, y), low = (far + self._thickness for far in self._far), -self._deepest
-        corners = ((0.0, 0.0, 0.0), (x, y, low), (-x, -y, low))
-        return Motion(tip=corners, time=(0.0, 1.0, 2.0))
 
 
 def _beyond_reach(indenter: Indenter, size_x: float, size_y: float) -> tuple[float, float]:

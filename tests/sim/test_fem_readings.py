@@ -55,7 +55,7 @@ def _alone(assembly: Any, env: int, tip: np.ndarray) -> tuple[dict[str, Any], np
         "torque": np.cross(place - tip, force).sum(axis=(0, 1)),
         "body": weight * volume.sum() - state.rates[env] * ahead.sum(axis=0),
         "energy": of(assembly.element_energy).sum() + springs - (volume * u * weight).sum(),
-        "penetration": deep.max(initial=0.0),
+        "sunk": (np.abs(deep) * pressure * area).sum(),
         "pressure": pressure.max(initial=0.0),
         "excess": excess.max(initial=0.0),
         "overlap": overlap.max(axis=0),

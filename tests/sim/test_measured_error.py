@@ -21,8 +21,8 @@ FINE = Fem(spacing=0.4e-3)
 def truth() -> Result:
     """Press with elements of 0.4 mm, the remaining error of its force extrapolated from 0.8 mm."""
     fine, coarse = (simulate(BALL, one) for one in (FINE, Fem(spacing=0.8e-3)))
-    both = fine.wrench + (fine.wrench - coarse.wrench) / 3
-    return replace(fine, wrench=both, record={**fine.record, "sunk": np.zeros(len(both))})
+    whole = replace(fine.quality, contact=np.zeros(3))
+    return replace(fine, wrench=fine.wrench + (fine.wrench - coarse.wrench) / 3, quality=whole)
 
 
 @pytest.mark.parametrize("ratio", [4 / 3, 5 / 3])
