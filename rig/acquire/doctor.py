@@ -107,16 +107,13 @@ def _explained(finding: Finding, load: Load, *, mock: bool) -> Finding:
         return finding
     text, cures = finding.text, finding.cures
     if mock:
-        cures = tuple(_without_hardware(cure) for cure in cures)
+        kept = ([one for one in cure.split("; ") if not _HARDWARE.search(one)] for cure in cures)
+        late = "an emulator that ended or is late: start the command again"
+        cures = tuple("; ".join(parts) or late for parts in kept)
         text = problem(text) if _HARDWARE.search(text) else text
     if load.shortages():
         cures = ("first the computer, which is busy: see above", *cures)
     return replace(finding, text=text, cures=cures)
-
-
-def _without_hardware(cure: str) -> str:
-    kept = (part for part in cure.split("; ") if not _HARDWARE.search(part))
-    return "; ".join(kept) or "an emulator that ended or is late: start the command again"
 
 
 # The plan

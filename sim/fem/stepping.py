@@ -521,6 +521,8 @@ class Batch:
         force = np.linalg.norm(assembly.sums["contact"], axis=1)
         at_goal = done & newton.converged & (self._share >= 1.0)
         self._largest[at_goal] = np.maximum(self._largest, force)[at_goal]
+        fades = force < FADED_BELOW * self._largest
+        whole = np.where(force > 0, self._numerics.augmentations + FADED * fades, 0)
         for i in np.flatnonzero(done).tolist():
             spent = self._spent[i]
             spent.newton += int(newton.iterations[i])
@@ -529,10 +531,10 @@ class Batch:
                 self._paths[i].patient_left -= max(0, int(newton.iterations[i]) - PATIENCE)
             if not newton.converged[i]:
                 bad[i] = True
-            elif at_goal[i] and self._augmented[i] < (whole := self._augmentations(force[i], i)):
+            elif at_goal[i] and self._augmented[i] < whole[i]:
                 again[i] = True
                 self._augmented[i] += 1
-                tolerance[i] = self._tolerance(1.0, whole - self._augmented[i])
+                tolerance[i] = self._tolerance(1.0, whole[i] - self._augmented[i])
             elif at_goal[i] and newton.residual[i] > tolerance[i]:  # nothing is touched
                 again[i] = True
             else:
@@ -648,12 +650,6 @@ class Batch:
             return False
         tolerance = self._numerics.tolerance
         return bool(tolerance < self._newton.residual[env] < ROUNDING * tolerance)
-
-    def _augmentations(self, force: float, env: int) -> int:
-        if not force:
-            return 0
-        fades = force < FADED_BELOW * self._largest[env]
-        return self._numerics.augmentations + (FADED if fades else 0)
 
     def _take(self, good: np.ndarray, way: np.ndarray, folds: dict[int, tuple[float, int]]) -> None:
         if not good.any():

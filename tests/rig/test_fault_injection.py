@@ -269,7 +269,8 @@ def test_late_messages_are_left_out_and_missing_and_repeated_ones_left_out(
         if device == "camera":
             assert len({sample["value"] for sample in samples}) == len(samples)
         else:
-            numbers = [number_of(device, sample) for sample in samples]
+            number = "device_t" if device == "arm" else "seq"
+            numbers = [float(sample[number]) for sample in samples]
             assert all(a < b for a, b in itertools.pairwise(numbers))
             late = driver.rejected["late"]
             assert driver.dropped >= late if reason == "late" else driver.dropped == 0
@@ -287,10 +288,6 @@ def test_three_bad_messages_are_counted_and_the_stream_goes_on(device: str, host
         collect(driver, 5)
         # A camera skips frames for a late reader, so on a busy machine bad ones too.
         assert driver.rejected["corrupt"] in ((1, 2, 3) if device == "camera" else (3,))
-
-
-def number_of(device: str, sample: dict[str, Any]) -> float:
-    return float(sample["device_t"] if device == "arm" else sample["seq"])
 
 
 @pytest.mark.parametrize("device", sorted(DEVICES))

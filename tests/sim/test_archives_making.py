@@ -221,12 +221,7 @@ def test_a_press_without_a_solution_is_marked_with_its_reasons_and_in_no_pair(
     assert (
         "1 presses have no solution, their rows are not valid\n  sphere, target 0 of r6:" in message
     )
-
-
-@pytest.mark.slow
-def test_a_press_that_another_way_solves_says_which(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    # One that another way solves says which.
     monkeypatch.setattr(solving, "simulate_many", diverging(1))
     path = tmp_path / "again.markers.zarr"
     make(path, ONE)

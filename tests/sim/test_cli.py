@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.ndimage import label
 from support.commands import python
 
 from sim.cli import press as press_command
@@ -88,13 +89,7 @@ def test_without_json_there_is_a_table_and_a_picture(capsys: pytest.CaptureFixtu
         pixels = np.asarray(picture.convert("RGB")).astype(int)
     # Five dots under pressure: as many red areas in the map on the right.
     right = pixels[105:530, 790:1220]
-    assert _patches(right[..., 0] - right[..., 2] > 60) == 5
-
-
-def _patches(mask: np.ndarray) -> int:
-    from scipy.ndimage import label
-
-    return int(label(mask)[1])
+    assert label(right[..., 0] - right[..., 2] > 60)[1] == 5
 
 
 def test_a_loop_shows_hysteresis_and_ends_free(capsys: pytest.CaptureFixture[str]) -> None:

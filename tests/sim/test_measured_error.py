@@ -11,7 +11,7 @@ from sim.fem import Fem
 from sim.indenters import sphere
 from sim.metrics import tolerance_of
 from sim.result import Result
-from sim.scene import Body, Scene, press
+from sim.scene import Body, Motion, Scene, press
 
 BALL = Scene(sphere(4e-3), press([0.3e-3, 0.6e-3]), Body(12e-3, 12e-3))
 FINE = Fem(spacing=0.4e-3)
@@ -42,6 +42,19 @@ def test_an_error_that_falls_as_the_square_is_taken_off_whole(truth: Result, rat
     assert both.record["error"]["second_mesh"] == coarse.record["mesh"]
 
 
+def test_meshes_that_agree_by_chance_state_what_a_coarser_one_shows(truth: Result) -> None:
+    mesh = truth.record["mesh"]
+
+    def found(ratio: float, off: float) -> Result:
+        record = {**truth.record, "mesh": {**mesh, "cells": [n / ratio for n in mesh["cells"]]}}
+        return replace(truth, wrench=truth.wrench * (1 + off), record=record)
+
+    meshes = found(1.5, 0.0), found(1.0, 0.0), tolerance_of("5 %"), 1e-3
+    assert tolerance.extrapolated(*meshes)[1] == 1e-3
+    least = 0.1 / (2**3 - 1) * (1 - 1.5**-3) / (1.5**2 - 1)
+    assert tolerance.extrapolated(*meshes, found(3.0, 0.1))[1] == pytest.approx(least)
+
+
 def test_forces_by_damped_waves_are_within_the_error_that_two_meshes_tell(truth: Result) -> None:
     """Stress that is damped over a time adds this time by its rate to a force, of order 1."""
     ratio, added = 1.6, 0.05
@@ -59,6 +72,11 @@ def test_forces_by_damped_waves_are_within_the_error_that_two_meshes_tell(truth:
     left = float((both.force[1:, 2] / truth.force[1:, 2] - 1).max())
     assert left < error < 2 * left
     assert error < 0.5 * waves_share(mesh(1.0)).max()
+    for height, felt in (0.4e-3, True), (0.9e-3, False):  # a tip that has left for a moment
+        tip = *motion.tip[:2], (0.0, 0.0, height)
+        lifted = replace(mesh(1.0), scene=replace(truth.scene, motion=Motion(tip, motion.time)))
+        lifted.wrench[-1] = 0.0
+        assert bool(waves_share(lifted)[-1]) == felt
 
 
 def test_a_tolerance_is_kept(truth: Result) -> None:

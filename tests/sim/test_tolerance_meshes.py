@@ -163,10 +163,7 @@ def test_a_first_mesh_that_takes_too_long_or_has_no_state_is_followed_by_a_coars
     monkeypatch.setattr(module, "HOPE", 0.0)
     result = plan(BALL, "0.5 %", seconds=1e3, only="fem").run()
     entry = result.record["plan"]
-    assert entry["tried"][:2] == [
-        "fineness 0.3: out of its part of the time",
-        "fineness 0.2: lost",
-    ]
+    assert entry["tried"][:2] == ["fineness 0.3: out of its part of the time", "fineness 0.2: lost"]
     assert result.record["mesh"]["fineness"] == pytest.approx(begin[2])
     np.testing.assert_array_equal(replay(result).wrench, result.wrench)
 

@@ -14,7 +14,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
 from support.wrong_files import FOLDERS, TEXTS, Refusal, intact_files, refusals  # noqa: E402
 
-from tactile.commands import COMMANDS, EXTRAS, GROUPS, Command  # noqa: E402
+from tactile.commands import COMMANDS, EXTRAS, GROUPS  # noqa: E402
 
 FOLDER = ROOT / "docs" / "reference"
 # Longest value [characters] that is shown for a name without a description.
@@ -63,14 +63,12 @@ def commands_page() -> str:
     lines = [ABOUT_COMMANDS]
     for title, commands in GROUPS.items():
         lines += ["", f"## {title}", "| command | description | extra |"]
-        lines += ["|---|---|---|", *(_row(command) for command in commands)]
+        lines.append("|---|---|---|")
+        for command in commands:
+            extra = command.extra or EXTRAS[command.package]
+            lines.append(f"| `tactile {command.words}` | {command.help} | {extra} |")
     lines.append(EXIT_CODES)
     return "\n".join(lines) + "\n"
-
-
-def _row(command: Command) -> str:
-    extra = command.extra or EXTRAS[command.package]
-    return f"| `tactile {command.words}` | {command.help} | {extra} |"
 
 
 def names_page() -> str:

@@ -71,7 +71,8 @@ def ball(radius: float, count: int) -> Body:
 def revolved(profile: Sequence[tuple[float, float]], count: int) -> Body:
     """Return a closed outline (distance from axis, z), material on its left, revolved about z."""
     radius, z = np.array(profile, float).T
-    ring = np.column_stack([*_circle(1.0, count).T, np.zeros(count)])
+    angle = np.arange(count) / count * math.tau
+    ring = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(count)])
     rings = radius[:, None, None] * ring + z[:, None, None] * [0, 0, 1]
     return lofted([*rings, rings[0]])
 
@@ -106,8 +107,3 @@ def moved(body: Body, by: Sequence[float]) -> Body:
 def _halved(quads: Sequence[Sequence[int]] | Faces) -> Faces:
     squares = np.asarray(quads)
     return np.concatenate([squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]])
-
-
-def _circle(radius: float, count: int) -> Array:
-    angle = np.arange(count) / count * math.tau
-    return radius * np.column_stack([np.cos(angle), np.sin(angle)])
