@@ -260,8 +260,8 @@ class _Search:
         self.best: tuple[float, Result, list[Fem], int | None] | None = None
         """Least error so far, in the unit of the tolerance; its result, the settings of the meshes
         up to its own, and the index of the mesh by which the error was measured."""
-        self._seconds = self._cost = 0.0
-        """Time of the last mesh [s], and that over its `_work`."""
+        self._took, self._cost = (0.0, 1.0), 0.0
+        """Time of the last mesh [s] and its fineness; and that time over its `_work`."""
 
     def run(self) -> None:
         """Solve until the tolerance is reached, or finer meshes are of no use.
@@ -352,8 +352,8 @@ class _Search:
         began = time.perf_counter()
         work = self._work(chain, numerics)
         chain.solve(numerics, self._progress)
-        self._seconds = time.perf_counter() - began
-        self._cost = self._seconds / work
+        self._took = time.perf_counter() - began, numerics.fineness
+        self._cost = self._took[0] / work
         if self.until < math.inf:
             self._offer(chain, None)
         return numerics.fineness
@@ -411,9 +411,9 @@ class _Search:
         """Return the cost of the tolerance, in words."""
         if self.best is None or error == math.inf:
             return f"{wanted} was not reached"
-        ratio = (error / wanted.value) ** (1 / ORDER)
-        finer = self.best[2][-1].fineness * ratio
-        seconds = self._seconds * ratio ** (1 + 3 * TIME_POWER[kind_of(self._device)])
+        finer = self.best[2][-1].fineness * (error / wanted.value) ** (1 / ORDER)
+        seconds, last = self._took
+        seconds *= (finer / last) ** (1 + 3 * TIME_POWER[kind_of(self._device)])
         return (
             f"{wanted} was not reached: {with_unit(wanted.kind, error)}; it needs a fineness of "
             f"about {finer:.2g}, which takes about {seconds:.2g} s here, if a mesh may be so fine"
