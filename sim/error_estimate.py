@@ -267,15 +267,14 @@ def further_errors(result: Result, measured: Array | None = None) -> Array:
 
     record, frames = result.record, np.arange(len(result.force))
     through = overlap_shares(result, result.quality.overlap)
-    folded = overlap_shares(result, np.array(record["self_overlap"]["metres"]))
     fraction = np.minimum(PER_SUNK * result.quality.contact, 1.0)
-    fraction = fraction + PER_OVERLAP * np.maximum(folded - OVERLAP_GOOD, 0.0)
     if record["mesh"].get("finer_failed"):
         fraction = fraction + PER_OVERLAP * through
     stiffening = record.get("stiffening")
     if stiffening is not None:
-        through = PER_OVERLAP * np.maximum(through - OVERLAP_GOOD, 0.0)
-        changed = np.array(stiffening["correction"]) + through
+        folded = overlap_shares(result, np.array(record["self_overlap"]["metres"]))
+        both = np.maximum(through - OVERLAP_GOOD, 0.0) + np.maximum(folded - OVERLAP_GOOD, 0.0)
+        changed = np.array(stiffening["correction"]) + PER_OVERLAP * both
         fraction = fraction + np.where(frames < stiffening["waypoint"], 0.0, changed)
     at_rim, at_wall = record.get("rim", []), record.get("wall", [])
     by_rim = AT_RIM / fineness_of(result)
