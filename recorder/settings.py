@@ -448,7 +448,7 @@ def read_mapping(
         shared = library / Path(parent).name
         extended = shared if shared.is_file() else extended
     if not extended.exists():
-        raise error(f"{path}.extends: found {parent!r}; allowed: a .yaml beside it or packaged")
+        raise error(f"{path}.extends: found {parent!r}; no such file beside it or packaged")
     below = read_mapping(extended, error, library, (*above, path.resolve()))
     return merged(below, content)
 
