@@ -271,7 +271,7 @@ class _Search:
             SimulationDiverged: There is no solution on a mesh.
         """
         from sim.fem.in_time import unmeasured
-        from sim.fem.mesh import meshes_of
+        from sim.fem.mesh import outline_of
 
         states = first_mesh(self._scene, self._wanted, self._device)
         fineness, limited = states.fineness, False
@@ -293,16 +293,15 @@ class _Search:
                 if self._cost * self._work(chain, replace(states, fineness=least)) > HOPE * left:
                     return self._tried.append("no time for a finer mesh")
                 fineness = self._fitting(chain, replace(states, fineness=fineness), least, left)
-            (mesh,) = meshes_of([self._scene], replace(states, fineness=fineness))
-            limited = limited or mesh.fineness < WHOLLY * fineness
-            fineness = min(fineness, float(mesh.fineness))
+            allowed = outline_of(self._scene, replace(states, fineness=fineness))[2]
+            limited = limited or allowed < WHOLLY * fineness
+            fineness = min(fineness, allowed)
             far = solved < fineness / APART_MOST
             nearer = fineness / COMPANION if far else fineness
             solved = self._solve(chain, replace(states, fineness=nearer))
             companion = chain.companion()
+            error = math.inf if companion is None else self._offer(chain, companion)
             if far:
-                if companion is not None and self.until < math.inf:
-                    self._offer(chain, companion)
                 continue
             if companion is None:
                 self._tried.append(f"fineness {fineness:.3g}: no coarser mesh to measure by")
@@ -312,7 +311,6 @@ class _Search:
                     return None
                 fineness *= COMPANION
                 continue
-            error = self._offer(chain, companion)
             if error <= self._wanted.value:
                 return None
             finer = (error / self._wanted.value) ** 0.5 * 1.05
@@ -580,14 +578,14 @@ def extrapolated(
     size = np.linalg.norm(result.force, axis=1)
     scale = force_scale(result.force)
     apart = np.abs(fine.force - coarse.force).max(axis=1)
+    most = _most_of_difference(coarse, fine)
+    unsure = most * apart
     if coarsest is not None:
         before = np.abs(coarse.force - coarsest.force).max(axis=1)
         least = (1.0 - ratio**-STEEPEST) / (elements_ratio(coarsest, coarse) ** STEEPEST - 1.0)
         apart = np.maximum(apart, least * before)
-    unsure = _most_of_difference(coarse, fine) * apart
-    if coarsest is not None:
-        apart_before = np.abs(result.force - _limit(coarsest, coarse).force).max(axis=1) / scale
-        unsure = unsure * _converged(apart_before, ratio, unsure / scale)
+        limits = np.abs(result.force - _limit(coarsest, coarse).force).max(axis=1) / scale
+        unsure = most * apart * _converged(limits, ratio, most * apart / scale)
     unsure = np.maximum(unsure, edge_errors(fine) * size)
     unsure, waves = _with_waves(coarse, fine, unsure / scale, apart / scale)
     newton = np.maximum(unsure, vanishing_share(result)) * scale

@@ -73,7 +73,8 @@ def run(options: argparse.Namespace) -> int:
         options.out, options.paths = options.paths[0], []
     if options.out is None:
         raise SessionError("--out: missing; allowed: the session or folder to write")
-    if not stated and [path.suffix in import_genforce.WEIGHTS for path in options.paths] == [True]:
+    alone = len(options.paths) == 1
+    if alone and not stated and options.paths[0].suffix in import_genforce.WEIGHTS:
         return import_genforce.import_weights(options.paths[0], options)
     if not stated and import_genforce.layout_among(options.paths):
         return import_genforce.import_folder(options.paths[0], options)

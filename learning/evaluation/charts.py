@@ -111,19 +111,19 @@ def sequences(shown: Sequence[Predictions], presses: int, seed: int) -> bytes:
     png = io.BytesIO()
     with chart(png, 9, 5) as figure:
         every = figure.subplots(3, 1, sharex=True)
-        for axis, axes in enumerate(every):
-            for index, one in enumerate(shown):
-                parts = [np.flatnonzero(one.location == location) for location in chosen]
-                parts = [part[np.argsort(one.frame[part], kind="stable")] for part in parts]
-                rows = np.concatenate([np.empty(0, np.int64), *parts])
+        for index, one in enumerate(shown):
+            parts = [np.flatnonzero(one.location == location) for location in chosen]
+            parts = [part[np.argsort(one.frame[part], kind="stable")] for part in parts]
+            rows = np.concatenate([np.empty(0, np.int64), *parts])
+            for axis, axes in enumerate(every):
                 if index == 0:
+                    axes.set_ylabel(f"{AXES_NAMED[axis]} [N]")
+                    axes.grid(visible=False, axis="x")
                     axes.plot(one.true[rows, axis], color=INK, label="true")
                     for end in np.flatnonzero(np.diff(one.location[rows])):
                         axes.axvline(end + 0.5, color=BAND, lw=0.6, zorder=0)
                 name = variant_name((one.method, one.translator))
                 axes.plot(one.predicted[rows, axis], lw=1, label=name)
-            axes.set_ylabel(f"{AXES_NAMED[axis]} [N]")
-            axes.grid(visible=False, axis="x")
         every[0].legend(ncols=4, loc="lower right", bbox_to_anchor=(1, 1))
         every[-1].set_xlabel("frame, presses one behind the other")
     return png.getvalue()

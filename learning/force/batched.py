@@ -64,13 +64,7 @@ def train_batched(
         torch.stack([getattr(model, name) for model in models])[:, None, None]
         for name in ("low", "high")
     )
-    parts = [torch.arange(each.frames, device=each.device).split(_AT_ONCE) for each in presses]
-    frames = torch.stack(  # (k, n, planes, h, w)
-        [
-            torch.cat([prepared_rows(each, part, settings.input) for part in some])
-            for each, some in zip(presses, parts, strict=True)
-        ]
-    )
+    frames = torch.stack([_prepared(each, settings) for each in presses])  # (k, n, planes, h, w)
 
     weights, buffers = stack_module_state(models)
     in_bf16 = settings.launch.mixed_precision == "bf16"
@@ -148,6 +142,14 @@ def _require_alike(presses: Sequence[Presses], settings: ForceModelSettings) -> 
                 f"{key}: found a setting that needs one model at a time; allowed for several: "
                 "norms none, instance or group, precision no or bf16"
             )
+
+
+def _prepared(presses: Presses, settings: ForceModelSettings) -> Tensor:
+    """Return all frames (n, planes, h, w) as network inputs."""
+    rows = torch.arange(presses.frames, device=presses.device)
+    return torch.cat(
+        [prepared_rows(presses, part, settings.input) for part in rows.split(_AT_ONCE)]
+    )
 
 
 def _forward(

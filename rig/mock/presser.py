@@ -109,10 +109,10 @@ class _Finger:
             left = (now_ns - before_ns) / SECOND_NS if self.go.is_set() else 0.0
             before_ns = now_ns
             while left > 0:
-                length = float(np.linalg.norm(np.subtract(goal, tip)))
+                ahead = np.subtract(goal, tip)
+                length = float(np.linalg.norm(ahead))
                 if length > speed * left:
-                    way_on = np.subtract(goal, tip) * (speed * left / length)
-                    tip = tuple((tip + way_on).tolist())
+                    tip = tuple((tip + ahead * (speed * left / length)).tolist())
                     break
                 tip, left = goal, left - length / speed
                 goal, speed = next(way)

@@ -15,7 +15,7 @@ import numpy as np
 from sim.arrays import Array
 from sim.errors import SimulationDiverged
 from sim.fem import Fem
-from sim.fem.mesh import meshes_of
+from sim.fem.mesh import outline_of
 from sim.fem.solver import Required, simulate_fem
 from sim.fem.stepping import OutOfTime, Path, path_of
 from sim.result import Outcome, Result, force_scale
@@ -104,8 +104,7 @@ def time_steps(
     """
     if scene.effects.inertia is None:
         return None
-    (mesh,) = meshes_of([scene], numerics)
-    path = path_of(scene, numerics, mesh.finest if numerics.follows else np.inf)
+    path = path_of(scene, numerics, outline_of(scene, numerics)[1] if numerics.follows else np.inf)
     travel = min(path.longest * scene.body.thickness, 1.0)  # infinite for a plane
     coarse = Fem(fineness=fineness, step_travel=travel, tolerance=numerics.tolerance)
     solved: dict[int, Array] = {}
@@ -114,8 +113,7 @@ def time_steps(
         for times in {factor, FINER * factor} - set(solved):
             settings = replace(coarse, step_factor=times)
             sizes = required and Required(dict(required.sizes), dict(required.stiffer))
-            outcomes = simulate_fem([scene], settings, device=device, required=sizes)
-            solved[times] = _forces(*outcomes)
+            solved[times] = _forces(*simulate_fem([scene], settings, device=device, required=sizes))
         return TimeSteps(factor, _of_inertia(solved[factor], solved[FINER * factor], scene))
 
     if numerics.step_factor is not None:

@@ -238,7 +238,7 @@ def _mesh(body: Body, x: Array, y: Array, fraction: Array, fineness: float = np.
         weight=weight,
         face_area=area,
         node_volume=volume,
-        finest=float(max(np.diff(x).min(), np.diff(y).min())),
+        finest=_finest(x, y),
         topmost=float(nodes[column, 2] - nodes[column - 1, 2]),
         top_area=_top_area(grid["faces"], area, cells),
         fraction=inside,
@@ -379,11 +379,16 @@ def following_mesh(
     return _mesh(scene.body, *_following_axes(scene, sizes, fineness, elements_max, at_least))
 
 
-def nodes_of(scene: Scene, sizes: Sizes, numerics: Fem) -> tuple[int, float]:
-    """Return the number of nodes of such a mesh, and its smallest element in plan, unbuilt."""
+def outline_of(scene: Scene, numerics: Fem, sizes: Sizes | None = None) -> tuple[int, float, float]:
+    """Return `len(nodes)`, `finest` and `fineness` of such a mesh; sizes as in `meshes_of`."""
+    sizes = stages_of(scene)[0].sizes if sizes is None else sizes
     most = numerics.elements_max or ELEMENTS_DEFAULT["cpu"]
-    x, y, fraction, _fineness = _following_axes(scene, sizes, numerics.fineness, most)
-    return len(x) * len(y) * len(fraction), float(min(np.diff(x).min(), np.diff(y).min()))
+    x, y, fraction, fineness = _following_axes(scene, sizes, numerics.fineness, most)
+    return len(x) * len(y) * len(fraction), _finest(x, y), fineness
+
+
+def _finest(x: Array, y: Array) -> float:
+    return float(max(np.diff(x).min(), np.diff(y).min()))
 
 
 def _following_axes(

@@ -15,7 +15,7 @@ from sim.errors import SimulationDiverged
 from sim.fem import ELEMENTS_DEFAULT, FINENESS_LEAST, PENALTY_MOST, Fem, Precision
 from sim.fem.assembly import damping_time
 from sim.fem.matrix import NODES_SIDE_BY_SIDE
-from sim.fem.mesh import Mesh, meshes_of, nodes_of
+from sim.fem.mesh import Mesh, meshes_of, outline_of
 from sim.fem.outcome import checked, coarseness, more_wanted, required_by, wanted_of_overlap
 from sim.fem.sizing import Sizes, coarser_than_required, stages_of
 from sim.fem.stepping import Batch, Crossed, batch_key, path_of
@@ -49,15 +49,14 @@ class Required:
         self.sizes[key] = sizes
 
 
-def work_of(scene: Scene, numerics: Fem, required: Required) -> tuple[Array, Array]:
-    """Return nodes and steps (S,) of the meshes, one a stage, that `simulate_fem` begins with."""
+def work_of(scene: Scene, numerics: Fem, required: Required) -> Array:
+    """Return nodes and steps (2, S) of the meshes, one a stage, that `simulate_fem` begins with."""
     work = []
     for stage in stages_of(scene):
         sizes = required.sizes.get((0, stage.waypoints), stage.sizes)
-        count, finest = nodes_of(scene, sizes, numerics)
+        count, finest, _fineness = outline_of(scene, numerics, sizes)
         work.append((count, path_of(beginning_of(scene, stage.waypoints), numerics, finest).steps))
-    nodes, steps = np.array(work, float).T
-    return nodes, steps
+    return np.array(work, float).T
 
 
 # Most times that a mesh is rebuilt because the solution shows that it was too coarse.

@@ -111,8 +111,8 @@ def _by_refining(scene: Scene, fineness: float, factor: int, device: str) -> Ref
     if (stiffening := fine.record.get("stiffening")) is not None:
         more = more + np.array(stiffening["correction"])
     unsure = unsure + more * force_scale(force)
-    overlap = 100 * np.nan_to_num(tight.quality.contact).max()
-    by = f"fineness {fine.record['mesh']['fineness']:.2g}, steps x {times}, overlap {overlap:.2g} %"
+    sunk = 100 * np.nan_to_num(tight.quality.contact).max()
+    by = f"fineness {fine.record['mesh']['fineness']:.2g}, steps x {times}, sunk {sunk:.2g} %"
     return Reference(force, unsure, by)
 
 
