@@ -73,7 +73,7 @@ class Fem:
     spacing: float | None = None
     """Edge length of elements under the indenter, and their height [m]. None: the mesh follows the
     contact (`sim.fem.sizing`), unless `grading` is given; then a sixth of the thickness."""
-    fineness: float = 0.75
+    fineness: float = 0.8
     """Resolution of a mesh that follows the contact: 12 elements times this from one side of a
     contact to the other. Twice as fine takes 15 times as long and has a quarter of the error."""
     elements_max: int | None = None

@@ -79,10 +79,24 @@ class Round:
         moved[..., 2] += self._levels
         return moved
 
-    def overlapped(self, wall: Array, tip: Array) -> bool:
-        """True if the indenter overlaps the side wall (W, Z, 3), whose upper edge is the top's."""
-        under = (wall[:, :-1] - tip) * self._scene.body.thickness
-        return bool((self._scene.indenter.distance(under)[0] < 0).any())
+    def overlapped(self, wall: Array, tip: Array) -> float:
+        """Return the overlap of the side wall (W, Z, 3), over that of a top that did not give way.
+
+        Both are volumes inside the indenter, the result at most 1. The wall's upper edge is the
+        top's.
+        """
+        mesh, unit = self._mesh, self._scene.body.thickness
+
+        def inside(points: Array) -> Array:
+            outside = self._scene.indenter.distance((points - tip) * unit)[0]
+            return np.where(outside < 0, -outside, 0.0)
+
+        along = np.linalg.norm(np.diff(self._wall, axis=0, append=self._wall[:1]), axis=1)
+        wide = along[:, None] * np.diff(self._levels, axis=1)
+        beside = float((inside(wall[:, :-1]) * wide).sum())
+        area = np.where(mesh.beside, 0.0, mesh.top_area)
+        on_top = float((inside(mesh.nodes[mesh.top]) * area).sum())
+        return beside / max(beside, on_top, 1e-30)
 
 
 # Points around a round side wall that are tested for overlap with the indenter.
@@ -146,6 +160,7 @@ class FrameCollector:
         self.round = None if mesh.fraction is None else Round(scene, mesh)
         """Side wall of a round body."""
         self._at_side: dict[str, list[int]] = {"rim": [], "wall": []}
+        self._wall_shares: list[float] = []
 
     def moved(self, work: float, overlap: Array) -> None:
         """Add the work [E T^3] of a step, and the overlap along it, see `Assembly.overlap` (4,)."""
@@ -200,8 +215,9 @@ class FrameCollector:
         if body.touched(np.flatnonzero(touched)):
             self._at_side["rim"].append(frame)
         wall = body.wall(columns)
-        if body.overlapped(wall, tip):
+        if share := body.overlapped(wall, tip):
             self._at_side["wall"].append(frame)
+            self._wall_shares.append(float(f"{share:.4g}"))
         self._below_base = max(self._below_base, -1.0 - float(wall[..., 2].min()))
 
     def up_to(self, frames: int) -> Self:
@@ -267,7 +283,7 @@ class FrameCollector:
         `overlap` has the material point that was deepest inside the indenter, and the largest depth
         below the base plane; `self_overlap` the depth of the skin inside itself in each frame, and
         the deepest point; `rim` and `wall` the waypoints at which those of a round body are
-        touched.
+        touched, and `wall_shares` the wall's overlap, over the top's, at the latter.
         """
         mesh, unit = self._mesh, self._scene.body.thickness
         face = int(self._read["face"][np.argmax(self._read["overlap"][:, 0])])
@@ -284,6 +300,7 @@ class FrameCollector:
             },
             "self_overlap": own,
             **{name: frames for name, frames in self._at_side.items() if frames},
+            **({"wall_shares": self._wall_shares} if self._wall_shares else {}),
         }
 
     def _mesh_entry(self, shared: dict[str, Any]) -> dict[str, Any]:

@@ -236,7 +236,7 @@ def _following(
 # with a skin that stiffens from the start. A core takes minutes for the finest; a GPU takes about
 # as long for all of them, if there is a solution, as there mostly is if only a later waypoint is
 # without one.
-COARSER = 1.0, 0.6, 0.3, 0.15
+COARSER = 1.0, 0.5, 0.25, 0.125
 
 
 def _on_coarser(

@@ -12,9 +12,10 @@ from benchmarks.independent.mesh import Fine, layer_grid
 from benchmarks.independent.profile import punch
 from benchmarks.independent.profile import sphere as ball
 from sim import Body, Effects, Friction, Layer, Motion, Result, Scene, SceneError, press, simulate
-from sim.error_estimate import AT_RIM, fineness_of, with_estimate
+from sim.error_estimate import AT_RIM, PER_WALL, fineness_of, wall_errors, with_estimate
 from sim.fem import Fem, Grading, Precision
 from sim.fem.mesh import SHARE_LEAST, build_mesh
+from sim.indenters import named as catalogue
 from sim.indenters import plane, sphere
 from sim.markers import Camera, Pattern, Renderer, named
 from sim.markers.textures import Textures
@@ -264,8 +265,18 @@ def test_an_indenter_in_the_round_wall_is_never_silent() -> None:
     motion = Motion(((9 * MM, 0.0, -3 * MM), (6.6 * MM, 0.0, -3 * MM)), (0.0, 1.0))
     result = simulate(Scene(sphere(1 * MM), motion, DISC), COARSE)
     assert result.record["wall"] == [1]
+    assert result.record["wall_shares"] == [1.0]  # it touches nothing else
     assert result.record["error"]["percent"] == 100
     assert any("side wall" in warning for warning in result.record["warnings"])
+
+
+def test_a_wall_that_bulges_a_little_into_an_indenter_on_top_says_how_much_it_may_change() -> None:
+    over = Motion(((0.0, 5.7 * MM, -1.2 * MM), (0.0, 5.3 * MM, -1.2 * MM)), (0.0, 1.0))
+    scene = Scene(catalogue("random"), over, DISC, Effects(friction=Friction(0.5)))
+    result = simulate(scene, Fem(fineness=0.2))
+    shares = np.array(result.record["wall_shares"])
+    assert 0 < shares.max() < 0.05
+    assert wall_errors(result)[result.record["wall"]] == pytest.approx(PER_WALL * shares)
 
 
 def test_layer_presses_a_disc_and_says_where_it_knows_nothing() -> None:
