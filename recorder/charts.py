@@ -16,10 +16,9 @@ if TYPE_CHECKING:
 BLUE, RED, GREEN = "#0072b2", "#d55e00", "#009e73"
 PURPLE, SKY, ORANGE = "#cc79a7", "#56b4e9", "#e69f00"
 INK, SOFT, BAND = "#262a33", "#787f8c", "#e2e5eb"
-# Fx, Fy and Fz on paper and on a dark ground, also on pages (`--fx` in their style): 25 apart and
-# more in CIELAB, as protanopes, deuteranopes and tritanopes see them too (Machado et al. 2009).
+# Fx, Fy and Fz, 25 apart and more in CIELAB, as protanopes, deuteranopes and tritanopes see them
+# too (Machado et al. 2009). Those of pages, `--fx` in their style, are as far apart on dark ground.
 FORCES = ("#004b9b", RED, GREEN)
-FORCES_ON_DARK = ("#3f9bf0", "#ff8a3d", "#7ff0b0")
 
 
 @contextmanager

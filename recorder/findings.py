@@ -1,4 +1,4 @@
-"""Findings reported by a check: faults, which fail it, and notes, which do not."""
+"""Findings reported by a check: faults and warnings, which fail it, and notes, which do not."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -31,6 +31,25 @@ CODES = {
     "segment-outside": "a phase that its streams do not cover, or that has an invalid reference",
     "frames-length": "a frames view that does not match the segments",
 }
+# Codes of the warnings: values that are stored as they came, and can hardly be true.
+WARNINGS = {
+    "impossible": "a value that no device of this rating sends",
+    "clear-force": "a force while nothing is touched",
+    "wrong-sign": "a pull while the skin is pressed",
+    "scale": "a force of another size than the skin's, or than other presses of that depth have",
+    "depth-force": "a force that does not rise with the depth",
+    "shear-direction": "side forces that do not follow the shear, or mirrored",
+    "torque": "torques that are not those of the force at any place",
+    "pose-speed": "poses that no arm can have: their speed, jump, reach or turn",
+    "pose-place": "presses that end away from their planned place, or an arm that stands",
+    "dark": "pictures without contrast",
+    "unlike-reference": "pictures that show the reference turned, or nothing of it",
+    "odd-image": "a picture unlike both of its neighbours, which are alike",
+    "image-jump": "a picture that is another one all at once",
+    "still-image": "pictures that do not change in a press",
+    "image-time": "pictures that change at other times than the force",
+    "dead-taxel": "a taxel that always has one value while others change",
+}
 # Codes of the notes on a session: limits of what it can tell, which are no faults of its data.
 NOTES: dict[str, str] = {
     "stalled": "times at which the computer stood still, which explain gaps and frozen values",
@@ -45,24 +64,26 @@ NOTES: dict[str, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One fault or note, and its location."""
+    """One fault, warning or note, and its location."""
 
     code: str
-    """One of `CODES` or `NOTES`; an archive has its own (docs/reference/data-format.md)."""
+    """One of `CODES`, `WARNINGS`, `NOTES`; archives have others (docs/reference/data-format.md)."""
     where: str
     """Path inside the session."""
     message: str
     """Value found and value expected, with the place and time of the first occurrence."""
 
     @property
-    def level(self) -> Literal["note", "fault"]:
-        """Return `note` if the code is one of `NOTES`, else `fault`."""
-        return "note" if self.code in NOTES else "fault"
+    def level(self) -> Literal["note", "warning", "fault"]:
+        """Return `note` or `warning` if the code is one of those, else `fault`."""
+        if self.code in NOTES:
+            return "note"
+        return "warning" if self.code in WARNINGS else "fault"
 
     def __str__(self) -> str:
         """Return the printed line."""
-        note = "note: " if self.level == "note" else ""
-        return f"{self.code:15s} {note}{self.where}: {self.message}"
+        level = "" if self.level == "fault" else f"{self.level}: "
+        return f"{self.code:15s} {level}{self.where}: {self.message}"
 
 
 def faults(findings: Iterable[Finding]) -> list[Finding]:

@@ -19,7 +19,6 @@ from sim.scene import Scene
 
 if TYPE_CHECKING:
     from recorder.processes import Workers
-    from sim.fem.mesh import Mesh
     from sim.mpm import Mpm
 
     # `layer` is linear and takes milliseconds, `fem` is exact and takes seconds to minutes; `mpm`
@@ -199,25 +198,3 @@ def _solve(scenes: Sequence[Scene], tier: Tier, device: str) -> list[Outcome]:
 
         ready_device(device)  # Warp starts without a banner
     return simulate_many(scenes, tier, device=device)
-
-
-# CPU time of a press by `layer`, and of each of its frames [s].
-SECONDS_LAYER, SECONDS_LAYER_FRAME = 0.2, 0.015
-# CPU time per element and Newton iteration [s], and iterations per step. 20 presses with friction
-# took 5 to 20 iterations, and 5 to 10 us per element.
-SECONDS_ITERATION, ITERATIONS = 6e-6, 8
-
-
-def seconds_of(scene: Scene, tier: Layer | Fem, mesh: Mesh | None = None) -> float:
-    """Return the approximate CPU time of one scene [s]; most take one to six times as long.
-
-    The mesh of `Fem` is that given, if it is already built.
-    """
-    if isinstance(tier, Layer):
-        return SECONDS_LAYER + SECONDS_LAYER_FRAME * len(scene.motion)
-    from sim.fem.mesh import meshes_of
-    from sim.fem.stepping import path_of
-
-    mesh = meshes_of([scene], tier)[0] if mesh is None else mesh
-    path = path_of(scene, tier, *([mesh.finest] if tier.follows else []))
-    return SECONDS_ITERATION * len(mesh.elements) * ITERATIONS * path.steps

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.fake_clock import FakeClock
 from rig.acquire.control import Control, Interlocks
 from rig.acquire.plan_runner import LiveLine, PlanRunner, rise_clear, zero_stand_ins
 from rig.acquire.signal_level import grey
@@ -26,7 +27,7 @@ from rig.acquire.streams import StreamHandle, Streams, check_clear
 from rig.bench.bench import Bench
 from rig.bench.guards import guard_limits, guards_of
 from rig.bench.worlds import Noise, WorldSpec
-from rig.core.clock import SECOND_NS, FakeClock
+from rig.core.clock import SECOND_NS
 from rig.core.geometry import compose, matrix_from_vector
 from rig.core.samples import SIGNAL_LATEST
 from rig.core.shared_memory import SharedLatest

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.checks.plausible import doubts
 from recorder.errors import SessionError
 from recorder.findings import Finding
 from recorder.session.align import NS
@@ -53,12 +54,12 @@ from recorder.store.records import CRC_BYTES, HEADER, record_matches
 
 
 def check(path: str | os.PathLike[str], *, quick: bool = False) -> list[Finding]:
-    """Return the faults of a session or a marker archive, and notes on what it cannot tell.
+    """Return the faults, warnings and notes of a session, or of a marker archive.
 
-    Each finding states its `level`: `fault` or `note`. Unreadable data is reported once and its
-    content is not checked. `quick` holds only metadata and the ends of shards against the manifest:
-    it takes seconds and finds files that were removed, added or exchanged, but not each flipped
-    bit.
+    Each finding states its `level`: `fault`; `warning`, of values that can hardly be true; `note`,
+    of what cannot be told. Unreadable data is reported once and its content is not checked. `quick`
+    holds only metadata and the ends of shards against the manifest: it takes seconds and finds
+    files that were removed, added or exchanged, but not each flipped bit.
 
     Raises:
         SessionError: Neither a session nor an archive, or `quick` for an archive.
@@ -126,6 +127,8 @@ def _check(
             yield from _check_segments(session)
         if "segments" not in unreadable and "frames" not in damaged_tables:
             yield from _check_frames(session)
+        if not unreadable and "targets" not in damaged_tables:
+            yield from doubts(session)
     except SessionError as error:
         yield Finding("metadata", ".", str(error))
 

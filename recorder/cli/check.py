@@ -5,7 +5,6 @@ import argparse
 from recorder.checks.check import check
 from recorder.cli.options import add_session
 from recorder.command_line.terminal import paint
-from recorder.findings import faults
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -16,11 +15,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the findings; return 1 if a fault is among them, 0 for notes alone."""
+    """Print the findings; return 1 if a fault or a warning is among them, 0 for notes alone."""
     findings = check(options.session, quick=options.quick)
     for finding in findings:
         print(paint(str(finding), finding.level))
-    wrong = faults(findings)
+    wrong = [finding for finding in findings if finding.level != "note"]
     if not wrong:
         count = len(findings)
         notes = f"no faults, {count} note{'s' * (count != 1)}" if findings else "nothing found"

@@ -8,10 +8,10 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal, TextIO
 
-State = Literal["good", "note", "fault", ""]
+State = Literal["good", "note", "warning", "fault", ""]
 
 # In the palette of the terminal, which its user chose for a dark or a light ground.
-_STYLES: dict[State, str] = {"good": "32", "note": "33", "fault": "1;31"}
+_STYLES: dict[State, str] = {"good": "32", "note": "33", "warning": "1;33", "fault": "1;31"}
 _ESCAPE = re.compile(r"\x1b\[[0-9;]*m")
 # Cells that are aligned to the right: numbers, their units, and the sign of a missing one.
 _NUMBER = re.compile(r"([-+]?[\d.,/]+(e[-+]\d+)?( \S{1,3})?|nan|-|)$")

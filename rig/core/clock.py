@@ -1,6 +1,6 @@
 """Integer nanoseconds of the monotonic clock, and pacing against absolute deadlines.
 
-Nothing else in `rig` uses the `time` module, so tests can substitute a `FakeClock`.
+Nothing else in `rig` uses the `time` module, so tests can substitute a clock of their own.
 """
 
 import time
@@ -33,25 +33,6 @@ class SystemClock:
         wait_ns = deadline_ns - time.monotonic_ns()
         if wait_ns > 0:
             time.sleep(wait_ns / SECOND_NS)
-
-
-class FakeClock:
-    """Clock that moves only when it is advanced or slept on."""
-
-    def __init__(self, now_ns: int = 0) -> None:
-        self._now_ns = now_ns
-
-    def now_ns(self) -> int:
-        """Return the time it was last moved to [ns]."""
-        return self._now_ns
-
-    def sleep_until(self, deadline_ns: int) -> None:
-        """Move to `deadline_ns` if it lies ahead."""
-        self._now_ns = max(self._now_ns, deadline_ns)
-
-    def advance(self, seconds: float) -> None:
-        """Move forward by `seconds` [s]."""
-        self._now_ns += round(seconds * SECOND_NS)
 
 
 class Pacer:

@@ -16,6 +16,7 @@ from support.collecting import ROOT
 from support.sessions import make_session
 
 from benchmarks.__main__ import main
+from benchmarks.fake_clock import FakeClock
 from benchmarks.faults import device_faults, endurance, kills, program_kills
 from benchmarks.faults.device_faults import run_row
 from benchmarks.faults.judge import RowResult, arm_in_words, complaints, losses, stored_in
@@ -26,7 +27,6 @@ from benchmarks.report import Page, Run
 from recorder import Session, SessionError
 from rig.bench.bench import BenchFile, bench_from
 from rig.bench.guards import guard_limits
-from rig.core.clock import FakeClock
 from rig.core.guard import ForceGuard, MotionGuard
 from rig.core.packaged import BENCHES
 from rig.core.samples import FORCE_LATEST, POSE_LATEST

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 from support.commands import python
 
-from recorder.charts import BLUE, FORCES, FORCES_ON_DARK, chart
+from recorder.charts import BLUE, FORCES, chart
 
 
 def drawn(file: Path | io.BytesIO) -> None:
@@ -32,9 +32,8 @@ def test_a_chart_has_the_style_and_the_size_that_were_asked_for() -> None:
 
 def test_pages_and_charts_share_the_colours_of_forces() -> None:
     style = (Path(__file__).parents[2] / "rig/monitor/static/page.css").read_text()
-    for colours in (FORCES, FORCES_ON_DARK):
-        names = (f"--f{axis}: {colour};" for axis, colour in zip("xyz", colours, strict=True))
-        assert " ".join(names) in style
+    names = (f"--f{axis}: {colour};" for axis, colour in zip("xyz", FORCES, strict=True))
+    assert " ".join(names) in style
 
 
 def test_settings_of_the_user_neither_change_a_chart_nor_are_changed(

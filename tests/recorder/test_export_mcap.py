@@ -93,7 +93,7 @@ def test_phases_are_events_and_the_rest_is_metadata(both: tuple[Session, Path]) 
     assert phases[0]["duration"] == pytest.approx(0.36)
     assert phases[0]["depth"] == session.targets["depth"][0]
     (reference,) = documents(path, "/reference")
-    assert reference["wrench"] == [0.25] * 6
+    assert reference["wrench"] == [0.25] * 3 + [0.0] * 3
     with reader_of(path) as reader:
         metadata = {record.name: record.metadata for record in reader.iter_metadata()}
         attached = {record.name: record.data for record in reader.iter_attachments()}

@@ -29,7 +29,8 @@ from support.arms import (
 )
 from support.waiting import until
 
-from rig.core.clock import SECOND_NS, FakeClock
+from benchmarks.fake_clock import FakeClock
+from rig.core.clock import SECOND_NS
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.devices.arm.arm import Arm
 from rig.devices.arm.messages import Move

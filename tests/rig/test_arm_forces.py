@@ -27,7 +27,8 @@ from support.arms import (
 )
 from support.waiting import until
 
-from rig.core.clock import SECOND_NS, FakeClock
+from benchmarks.fake_clock import FakeClock
+from rig.core.clock import SECOND_NS
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.guard import ForceGuard
 from rig.core.samples import FORCE_LATEST

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.core.clock import SECOND_NS, ClockAnchor, FakeClock, Pacer, SystemClock
+from benchmarks.fake_clock import FakeClock
+from rig.core.clock import SECOND_NS, ClockAnchor, Pacer, SystemClock
 
 rates = st.floats(1, 1000)
 delays = st.lists(st.floats(0, 0.2), max_size=60)

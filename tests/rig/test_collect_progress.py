@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.collecting import pressed_session
 
+from benchmarks.fake_clock import FakeClock
 from recorder import OUTCOMES
 from rig.acquire.collector import CollectRequest
 from rig.acquire.completed import first_open_target
@@ -22,7 +23,6 @@ from rig.acquire.plan_runner import LiveLine
 from rig.acquire.stream_process import COUNTERS
 from rig.acquire.streams import Streams
 from rig.cli import recording
-from rig.core.clock import FakeClock
 from rig.core.samples import FORCE_LATEST
 from rig.mock.bench import MockBench
 from tactile.__main__ import main

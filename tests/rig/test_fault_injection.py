@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from support.drivers import FixedWorld, collect, opening, running
 
+from benchmarks.fake_clock import FakeClock
 from rig.core import emulation
-from rig.core.clock import FakeClock, SystemClock
+from rig.core.clock import SystemClock
 from rig.core.emulation import FaultPort
 from rig.core.errors import DeviceLost
 from rig.core.fault_injection import FAULTS, FaultInjector, corrupted_bytes, corrupted_text

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from support.collecting import faults_of
 
+from benchmarks.fake_clock import FakeClock
 from benchmarks.faults.collection_run import CollectionRun, quick_bench
 from recorder import Session
 from rig.bench.bench import Bench, BenchFile
 from rig.bench.guards import force_limit, guard_limits
 from rig.cli.options import motion_lines
-from rig.core.clock import FakeClock
 from rig.core.config import READER
 from rig.core.errors import ConfigError
 from rig.core.guard import ForceGuard

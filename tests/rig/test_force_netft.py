@@ -17,7 +17,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.drivers import FixedWorld, collect, opening, running
 
-from rig.core.clock import SECOND_NS, ClockAnchor, FakeClock, SystemClock
+from benchmarks.fake_clock import FakeClock
+from rig.core.clock import SECOND_NS, ClockAnchor, SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.devices.force.netft import NetFtDriver, StampedSocket
 from rig.devices.force.netft_emulator import NetFtEmulator, NetFtEmulatorConfig

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from support.drivers import FixedWorld, opening, running
 
+from benchmarks.fake_clock import FakeClock
 from recorder import Session, SessionWriter, StreamWriter, check, faults
 from rig.bench.bench import bench_from
-from rig.core.clock import SECOND_NS, FakeClock, SystemClock
+from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.config import read_yaml
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.packaged import BENCHES

@@ -12,7 +12,8 @@ import serial
 from support.drivers import running
 from support.waiting import until
 
-from rig.core.clock import FakeClock, SystemClock
+from benchmarks.fake_clock import FakeClock
+from rig.core.clock import SystemClock
 from rig.core.config import build
 from rig.core.errors import ConfigError, DeviceLost
 from rig.devices.gripper.robotiq import RobotiqDriver, swap_held

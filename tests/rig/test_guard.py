@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rig.core.clock import FakeClock
+from benchmarks.fake_clock import FakeClock
 from rig.core.geometry import transform
 from rig.core.guard import (
     AXES,

@@ -22,12 +22,13 @@ from support.waiting import until
 from support.watching import next_state
 from support.watching import watch as connected
 
+from benchmarks.fake_clock import FakeClock
 from learning.force.live import LiveForce, LivePredictor
 from recorder import Session, SessionError
 from recorder.command_line.options import Parser
 from rig.bench.bench import BenchFile
 from rig.cli import live
-from rig.core.clock import SECOND_NS, FakeClock, SystemClock
+from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.packaged import BENCHES
 from rig.monitor.access import AccessPolicy

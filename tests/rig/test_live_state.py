@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from support.watching import jpeg
 
+from benchmarks.fake_clock import FakeClock
 from recorder import SessionWriter, StreamWriter, camera_spec
 from rig.bench.bench import Bench, bench_from
-from rig.core.clock import FakeClock
 from rig.core.config import read_yaml
 from rig.core.packaged import BENCHES
 from rig.core.shared_memory import SharedLatest

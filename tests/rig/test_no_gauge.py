@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.fake_clock import FakeClock
 from benchmarks.faults.simulated_bench import SimulatedBench, Stages, Truth
 from benchmarks.faults.wrong_benches import collected
 from rig.acquire import no_gauge
@@ -42,7 +43,7 @@ from rig.bench.guards import (
     slowed,
     without_gauge,
 )
-from rig.core.clock import SECOND_NS, FakeClock
+from rig.core.clock import SECOND_NS
 from rig.core.config import read_yaml
 from rig.core.errors import ConfigError, SafetyStop
 from rig.core.packaged import BENCHES

@@ -14,10 +14,11 @@ import pytest
 from support.replayable import as_devices_send
 from support.sessions import Columns, make_session, set_attrs
 
+from benchmarks.fake_clock import FakeClock
 from benchmarks.faults.collection_run import CollectionRun
 from recorder import Session, SessionError, check, faults
 from recorder.info import digests
-from rig.core.clock import SECOND_NS, FakeClock
+from rig.core.clock import SECOND_NS
 from rig.core.errors import DeviceLost
 from rig.core.playback import (
     ENDED,

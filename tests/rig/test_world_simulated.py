@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 from support.collecting import faults_of, patient_bench
 from support.commands import python
 
+from benchmarks.fake_clock import FakeClock
 from benchmarks.faults.collection_run import CollectionRun
 from recorder import Session
 from rig.bench.bench import BenchFile, bench_from, find_bench, with_simulated_world
 from rig.bench.worlds import Solver as SolverSettings
 from rig.bench.worlds import WorldSpec
-from rig.core.clock import FakeClock
 from rig.core.config import build
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES

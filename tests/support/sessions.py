@@ -217,7 +217,7 @@ def _record(
         "point": np.arange(50, dtype=np.int16),
         "depth": np.full(50, DEPTH),
         "direction": np.zeros(50, np.int16),
-        "planned": np.zeros((50, 3)),
+        "planned": np.tile(np.add(CONTACT_FRAME[:3], (5e-4, 0, -DEPTH)), (50, 1)),
     }
     attrs = {"sensor": "wedge", "indenter": "sphere", "mock": True, "contact_frame": CONTACT_FRAME}
     session = SessionWriter.create(
@@ -244,7 +244,7 @@ def _record(
         row = {
             "point": 0,
             "image": 0 if "camera" in names else -1,
-            "wrench": np.full(6, 0.25),
+            "wrench": np.repeat([0.25, 0.0], 3),
             "wrench_std": np.full(6, 0.02),
             "taxels": np.full((16, 3), 30_000.0 if "taxels" in names else np.nan),
             "run": 0,

@@ -1,0 +1,455 @@
+"""Whether what was recorded can be true: witnesses, each a function that healthy data leave quiet.
+
+A witness compares one quantity with another that it cannot contradict: a force with the depth, the
+place of the tip with its plan, a torque with the lever of its force. It says how near its threshold
+it came, 1 at the threshold, so that the margin of healthy sessions is known. Without what it needs
+it says nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.checks.pictures import pictures, taxels
+from recorder.checks.presses import ASIDE, BACK, DOWN, Phase, Presses
+from recorder.checks.testimony import Testimony, most
+from recorder.findings import Finding
+from recorder.session.align import NS, quaternion
+from recorder.session.reader import Session
+from recorder.spec import AXES
+
+Floats = NDArray[np.float64]
+
+
+Witness = Callable[[Presses], Iterator[Testimony]]
+
+
+def testimonies(session: Session) -> Iterator[Testimony]:
+    """Yield what each witness has seen, doubtful or not."""
+    presses = Presses(session)
+    for witness in WITNESSES:
+        with np.errstate(all="ignore"):
+            yield from witness(presses)
+
+
+def doubts(session: Session) -> Iterator[Finding]:
+    """Yield a warning of each witness that has a reason for one."""
+    for one in testimonies(session):
+        if one.doubtful:
+            yield one.finding
+
+
+# The gauge.
+
+# Values of a gauge over its rating that no gauge sends; without a rating [N, N m].
+OVER_RATING, IMPOSSIBLE = 5.0, (1e4, 1e3)
+# Time away from all presses after which a skin has recovered [s], part of it that is looked at at
+# once, and height of the tip [m].
+RECOVERED, CLEAR_PART, CLEAR_HEIGHT = 1.5, 0.25, 1e-3
+# Force without contact [N], over the largest in a press, and as a multiple of the noise.
+CLEAR_LEAST, CLEAR_OF_PEAK, CLEAR_NOISE = 0.3, 0.05, 5.0
+# Part of the depth from which a press pulls in no skin; pull that is no noise [N].
+PRESSED, PULL = 0.3, 0.1
+# Largest factor of a force beside the expected interval, and beside other presses of its depth.
+SCALE, BESIDE = 3.0, 3.0
+# Known factors between units, by what was taken for a newton.
+UNITS = {
+    "mN (1000)": 1e3,
+    "kN (0.001)": 1e-3,
+    "pounds (0.225 to the newton)": 1 / 4.448,
+    "kilograms (0.102 to the newton)": 1 / 9.807,
+    "newtons that were converted from pounds (4.45)": 4.448,
+    "newtons that were converted from kilograms (9.81)": 9.807,
+}
+# Least depth of presses whose force is compared with it [m], their least number, and how well force
+# must rise with depth (correlation).
+DEEP, SEVERAL, RISES = 0.25e-3, 5, 0.5
+# How well side forces must follow the shear, rotated (1: exactly); directions that are needed; and
+# force in noise.
+FOLLOWS, SPREAD = 0.5, 0.15
+# Force from which torques are compared with its lever [N]; error of torque that is none over its
+# size; error that the contact's own place may add [m]; longest lever [m].
+LOADED, TWIST, PLACE, LEVER = 1.0, 0.3, 4e-3, 0.6
+
+
+def _where(presses: Presses, column: str = "value") -> str:
+    return f"streams/{presses.force.name if presses.force else 'force'}/{column}"
+
+
+def impossible(presses: Presses) -> Iterator[Testimony]:
+    """Values that no gauge of this rating sends."""
+    if presses.force is None:
+        return
+    limits = (presses.session.attrs.get("bench") or {}).get("limits") or {}
+    most = np.repeat(IMPOSSIBLE, 3)
+    for key, part, si in (
+        ("force_rating_n", slice(0, 3), 1.0),
+        ("torque_rating_n_mm", slice(3, 6), 1e-3),
+    ):
+        if isinstance(limits.get(key), list) and len(limits[key]) == 3:
+            most[part] = OVER_RATING * si * np.asarray(limits[key], float)
+    axes = list(presses.measured)
+    sizes = np.abs(presses.values[:, axes]) / most[axes]
+    if not sizes.size:
+        return
+    row, axis = divmod(int(np.argmax(np.nan_to_num(sizes, nan=0.0))), len(axes))
+    column = axes[axis]
+    unit = "N" if column < 3 else "N m"
+    message = (
+        f"{AXES[column]} is {presses.values[row, column]:.4g} {unit} in row {row}, a gauge sends "
+        f"less than {most[column]:.4g} {unit}: check the unit, or the device's reading"
+    )
+    yield Testimony(float(sizes[row, axis]), Finding("impossible", _where(presses), message))
+
+
+def _peak(presses: Presses) -> float:
+    """Return the median over presses of the largest force [N]."""
+    tops = [np.nanmax(np.abs(one.wrench[:, :3])) for one in presses.of(DOWN)]
+    return float(np.median(tops)) if tops else 0.0
+
+
+def clear_force(presses: Presses) -> Iterator[Testimony]:
+    """Force while nothing is touched, beside that point's own reference."""
+    session, force = presses.session, presses.force
+    if force is None or not len(session.segments["target"]) or "point" not in session.reference:
+        return
+    segments = session.segments
+    doubt, found = [], []
+    allowed = max(CLEAR_LEAST, CLEAR_OF_PEAK * _peak(presses))
+    limits = np.maximum(allowed, CLEAR_NOISE * presses.sigma[:3])
+    for run in range(max(len(session.runs), 1)):
+        rows = session.rows_of_run(force.name, run)
+        times, values = force.t_ns[rows], presses.values[rows]
+        moments, places = presses.places(run)
+        of_run = np.flatnonzero(np.asarray(segments["run"]) == run)
+        if not of_run.size or len(times) < 2:
+            continue
+        order = of_run[np.argsort(np.asarray(segments["start_ns"])[of_run])]
+        starts, ends = (np.asarray(segments[name])[order] for name in ("start_ns", "end_ns"))
+        opens = np.concatenate([[times[0]], ends + round(RECOVERED / NS)])
+        for number, (begin, end) in enumerate(zip(opens, [*starts, times[-1]], strict=True)):
+            part = round(CLEAR_PART / NS)
+            for at in range(int(begin), int(end) - part, part):
+                low, high = np.searchsorted(times, (at, at + part))
+                near = slice(*np.searchsorted(moments, (at, at + part)))
+                if (
+                    high - low < 3
+                    or not len(places[near])
+                    or not (places[near, 2] > CLEAR_HEIGHT).all()
+                ):
+                    continue
+                target = int(segments["target"][order[min(number, len(order) - 1)]])
+                level = np.median(values[low:high], axis=0) - presses.offset(run, target, at)
+                axes = [axis for axis in presses.measured if axis < 3]
+                size = np.abs(level[axes]) / limits[axes]
+                doubt.append(float(size.max()))
+                found.append((axes[int(size.argmax())], level, int(rows.start or 0) + int(low)))
+
+    def text(worst: int) -> str:
+        axis, level, row = found[worst]
+        return (
+            f"{AXES[axis]} is {level[axis]:+.3g} N without contact, from row {row}; allowed: "
+            f"{limits[axis]:.2g} N beside the reference: tare again, look for a slipped cable"
+        )
+
+    yield from most(doubt, "clear-force", _where(presses), text)
+
+
+def pulls(presses: Presses) -> Iterator[Testimony]:
+    """Fz above 0 while the skin is pressed: its sign is wrong, or the axis is another."""
+    if 2 not in presses.measured:
+        return
+    limit, doubt, found = CLEAR_NOISE * presses.sigma[2] + PULL, [], []
+    for one in presses.of(DOWN, ASIDE, BACK):
+        deep = one.depth > PRESSED * presses.planned("depth", one.target)
+        if deep.sum() >= 3:
+            doubt.append(float(np.median(one.wrench[deep, 2]) / limit))
+            found.append((one, float(np.median(one.wrench[deep, 2]))))
+
+    def text(worst: int) -> str:
+        one, force = found[worst]
+        return (
+            f"Fz is {force:+.3g} N while target {one.target + 1} is pressed, from row {one.first}; "
+            "compression is negative: check the axis and its sign"
+        )
+
+    yield from most(doubt, "wrong-sign", _where(presses), text)
+
+
+def scale(presses: Presses) -> Iterator[Testimony]:
+    """Forces of another size than those expected of the skin, or than other presses have."""
+    tops = _deepest(presses)
+    expected = presses.session.attrs.get("expected_force") or {}
+    depths, forces = (np.asarray(expected.get(name) or [], float) for name in ("depths", "forces"))
+    doubt, factors = [], []
+    for depth, force, _one in tops:
+        near = np.abs(depths - depth) < 1e-5 + 0.02 * depth if depths.size else np.zeros(0, bool)
+        if near.any() and np.isfinite(forces[near][0]).all() and forces[near][0][0] > 0:
+            low, high = forces[near][0]
+            factor = max(force, 1e-9) / np.clip(force, low, high)
+            doubt.append(float(max(factor, 1 / factor) / SCALE))
+            factors.append(max(force, 1e-9) / np.sqrt(low * high))
+    if doubt:
+        size = float(np.median(factors))
+        unit = min(UNITS, key=lambda name: abs(np.log(size / UNITS[name])))
+        like = f", as if they were {unit}" if abs(np.log(size / UNITS[unit])) < 0.35 else ""
+        message = f"forces are {size:.3g} times those expected of this skin (median){like}"
+        yield Testimony(
+            float(np.median(doubt)),
+            Finding(
+                "scale", _where(presses), f"{message}: check the unit, the skin and the indenter"
+            ),
+        )
+    yield from _beside(presses, tops)
+
+
+def _beside(presses: Presses, tops: list[tuple[float, float, Phase]]) -> Iterator[Testimony]:
+    """Yield presses whose force is of another size than that of the others of their depth."""
+    doubt, found = [], []
+    for depth in {round(depth, 6) for depth, _force, _one in tops}:
+        alike = [(force, one) for other, force, one in tops if round(other, 6) == depth]
+        if (
+            len(alike) < 3
+            or (middle := float(np.median([force for force, _one in alike]))) < LOADED / 5
+        ):
+            continue
+        for force, one in alike:
+            factor = max(force, 1e-9) / middle
+            doubt.append(float(max(factor, 1 / factor) / BESIDE))
+            found.append((one, factor))
+
+    def text(worst: int) -> str:
+        one, factor = found[worst]
+        return (
+            f"target {one.target + 1} has {factor:.3g} times the force of the other presses of its "
+            f"depth, from row {one.first}"
+        )
+
+    yield from most(doubt, "scale", _where(presses), text)
+
+
+def _deepest(presses: Presses) -> list[tuple[float, float, Phase]]:
+    """Return planned depth [m], compression at it [N] and phase of the whole presses."""
+    found = []
+    for one in presses.of(DOWN):
+        depth = presses.planned("depth", one.target)
+        at = one.depth > 0.95 * depth
+        if one.whole and depth >= DEEP and at.sum() >= 3 and 2 in presses.measured:
+            found.append((depth, float(-np.median(one.wrench[at, 2])), one))
+    return found
+
+
+def force_over_depth(presses: Presses) -> Iterator[Testimony]:
+    """Compression that does not rise with the depth."""
+    found = []
+    for one in presses.of(DOWN):
+        inside = one.depth > 0
+        if presses.planned("depth", one.target) < DEEP or inside.sum() < 10 or not one.whole:
+            continue
+        force = one.wrench[inside, 2]
+        if 2 in presses.measured and np.ptp(force) > CLEAR_NOISE * presses.sigma[2]:
+            found.append((float(np.corrcoef(one.depth[inside], -force)[0, 1]), one))
+        elif 2 in presses.measured:
+            found.append((0.0, one))
+    if len(found) < SEVERAL:
+        return
+    median = float(np.median([value for value, _one in found]))
+    message = (
+        f"force does not rise with depth: correlation {median:.2f} in the median of {len(found)} "
+        "presses: check the axes, the times of both, and that the indenter touches"
+    )
+    yield Testimony((1 - median) / (1 - RISES), Finding("depth-force", _where(presses), message))
+
+
+def shear_follows(presses: Presses) -> Iterator[Testimony]:
+    """Side forces that are mirrored, or do not follow the shear."""
+    moved, felt = [], []
+    if not {0, 1} <= set(presses.measured):
+        return
+    least = CLEAR_NOISE * presses.sigma[:2].max() + PULL
+    for one in presses.of(ASIDE):
+        if len(one.place) < 3 or not one.whole:
+            continue
+        way, force = one.place[-1] - one.place[0], one.wrench[-3:].mean(0) - one.wrench[:3].mean(0)
+        if np.hypot(*force[:2]) > least and np.hypot(*way[:2]) > 1e-4:
+            moved.append(complex(*way[:2]) / np.hypot(*way[:2]))
+            felt.append(complex(*force[:2]) / np.hypot(*force[:2]))
+    if len(moved) < SEVERAL:
+        return
+    way, force = np.array(moved), np.array(felt)
+    # Shears along one line cannot tell a mirrored axis from a turned one.
+    spread = 1 - abs(np.mean(way**2))
+    turned, mirrored = abs(np.mean(force * way.conj())), abs(np.mean(force * way))
+    doubt, message = (1 - turned) / (1 - FOLLOWS), "side forces do not follow the shear"
+    if spread > SPREAD and mirrored > turned:
+        message = (
+            "side forces are mirrored beside the shear: an axis is swapped or has a wrong sign"
+        )
+    yield Testimony(
+        float(doubt),
+        Finding("shear-direction", _where(presses), f"{message} ({len(way)} shears)"),
+    )
+
+
+def levers(presses: Presses) -> Iterator[Testimony]:
+    """Torques that are not those of the force at a place: axes, signs or unit are wrong."""
+    if len(presses.measured) < len(AXES):
+        return
+    doubt, found = [], []
+    by_target: dict[int, list[Floats]] = {}
+    for one in presses.of(DOWN, ASIDE, BACK):
+        some = one.wrench[np.linalg.norm(one.wrench[:, :3], axis=1) > LOADED]
+        by_target.setdefault(one.target, []).append(some[:: max(1, len(some) // 50)])
+    for target, parts in by_target.items():
+        wrench = np.concatenate(parts)
+        force, torque = wrench[:, :3], wrench[:, 3:]
+        noise = CLEAR_NOISE * float(np.linalg.norm(presses.sigma[3:]))
+        size = float(np.sqrt((torque**2).sum(axis=1).mean())) if len(wrench) else 0.0
+        if len(wrench) < 10 or size <= 2 * noise:
+            continue
+        matrix = np.zeros((len(wrench), 3, 3))  # of r x F, with r unknown
+        for row, (a, b) in enumerate(((1, 2), (2, 0), (0, 1))):
+            matrix[:, row, a], matrix[:, row, b] = force[:, b], -force[:, a]
+        lever = np.linalg.lstsq(matrix.reshape(-1, 3), torque.ravel(), rcond=1e-3)[0]
+        left = torque - (matrix @ lever)
+        pushed = float(np.sqrt((force**2).sum(axis=1).mean()))
+        allowed = TWIST * size + PLACE * pushed + noise
+        doubt.append(
+            max(
+                float(np.sqrt((left**2).sum(axis=1).mean())) / allowed,
+                float(np.linalg.norm(lever)) / LEVER,
+            )
+        )
+        found.append((target, float(np.linalg.norm(lever))))
+
+    def text(worst: int) -> str:
+        target, length = found[worst]
+        if length > LEVER:
+            return f"target {target + 1} has torques at a lever of {length:.3g} m: N mm for N m?"
+        return f"target {target + 1} has torques that its force has at no place: check the axes"
+
+    yield from most(doubt, "torque", _where(presses), text)
+
+
+# The arm.
+
+# Largest speed over the planned one; without a plan [m/s]; turning [rad/s]; over this time [s].
+FASTER, FAST, TURNING, OVER = 4.0, 2.0, 6.0, 0.1
+# Largest distance of an arm from its base [m], turn of a pose [rad], and jump to the next one [m]
+# beside so many times what the fastest hundredth of all steps makes usual.
+REACH, TURN, JUMP, JUMPY = 4.0, 7.0, 0.5e-3, 10.0
+# Distance of the reached place from the planned one [m], and over the way to it.
+AWAY, AWAY_OF_WAY = 0.3e-3, 0.05
+# Way that a phase plans at least, and the part of it that a frozen pose does not go [m].
+WAY, STANDS = 0.2e-3, 0.2
+
+
+def speeds(presses: Presses) -> Iterator[Testimony]:
+    """Poses that move or turn faster than an arm, or lie where none reaches."""
+    pose, session = presses.pose, presses.session
+    if pose is None:
+        return
+    arm = (session.attrs.get("bench") or {}).get("arm") or {}
+    planned = [
+        float(arm[key]) * 1e-3
+        for key in ("speed_mm_s", "travel_speed_mm_s")
+        if isinstance(arm.get(key), int | float)
+    ]
+    limit = max(FASTER * max(planned), 0.05) if planned else FAST
+    doubt, found = [], []
+    where = f"streams/{pose.name}/value"
+    for run in range(max(len(session.runs), 1)):
+        rows = session.rows_of_run(pose.name, run)
+        poses = np.asarray(pose.array("value"), np.float64)[rows]
+        seconds = pose.t_ns[rows] * NS
+        if "device_t" in pose.small:
+            device = np.asarray(pose.array("device_t"), np.float64)[rows]
+            seconds = device if np.isfinite(device).all() else seconds
+        apart = max(1, round(OVER * pose.rate_hz))
+        if len(poses) <= apart:
+            continue
+        first = int(rows.start or 0)
+        far = np.linalg.norm(poses[:, :3], axis=1) / REACH
+        doubt.append(float(far.max()))
+        found.append(
+            (
+                f"a place {REACH * far.max():.3g} m from the base: mm for m?",
+                first + int(far.argmax()),
+            )
+        )
+        turn = np.linalg.norm(poses[:, 3:], axis=1) / TURN
+        doubt.append(float(turn.max()))
+        found.append(
+            (f"a turn of {TURN * turn.max():.3g} rad: degrees?", first + int(turn.argmax()))
+        )
+        step = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
+        took = np.maximum(np.diff(seconds), 1 / pose.rate_hz)
+        jump = step - JUMPY * float(np.quantile(step / took, 0.99)) * took
+        doubt.append(float(jump.max() / JUMP))
+        found.append((f"a jump of {1e3 * jump.max():.3g} mm", first + 1 + int(jump.argmax())))
+        lasts = np.maximum(seconds[apart:] - seconds[:-apart], OVER / 2)
+        fast = np.linalg.norm(poses[apart:, :3] - poses[:-apart, :3], axis=1) / lasts
+        doubt.append(float(fast.max() / limit))
+        found.append((f"{fast.max():.3g} m/s, allowed {limit:.3g} m/s", first + int(fast.argmax())))
+        turns = quaternion(poses[:, 3:])
+        cosine = np.minimum(np.abs((turns[apart:] * turns[:-apart]).sum(axis=1)), 1.0)
+        turning = 2 * np.arccos(cosine) / lasts
+        doubt.append(float(turning.max() / TURNING))
+        found.append(
+            (f"{turning.max():.3g} rad/s, allowed {TURNING:g} rad/s", first + int(turning.argmax()))
+        )
+
+    def text(worst: int) -> str:
+        message, row = found[worst]
+        return f"{message}, row {row}: check units, and the times of the poses"
+
+    yield from most(doubt, "pose-speed", where, text)
+
+
+def places(presses: Presses) -> Iterator[Testimony]:
+    """Presses that end away from their planned place, or poses that stand while the tip moves."""
+    if presses.pose is None:
+        return
+    doubt, found = [], []
+    last = {
+        one.target: one for one in presses.phases if one.code in (DOWN, ASIDE) and len(one.place)
+    }
+    for one in presses.phases:
+        if len(one.place) < 3 or not one.whole or one.code not in (DOWN, ASIDE):
+            continue
+        goal, way = presses.planned_place(one.target), one.place[-1] - one.place[0]
+        depth = presses.planned("depth", one.target)
+        if one.code == DOWN and depth > WAY:
+            gone = float(-way[2])
+            doubt.append(STANDS * depth / max(gone, 1e-9))
+            found.append(
+                (one, f"the pose goes {1e3 * gone:.3g} mm down, of {1e3 * depth:.3g} mm and more")
+            )
+        if one is last[one.target] and np.isfinite(goal).all():
+            away = float(np.linalg.norm(one.place[-1] - goal))
+            doubt.append(away / (AWAY + AWAY_OF_WAY * float(np.linalg.norm(way))))
+            found.append((one, f"the pose ends {1e3 * away:.3g} mm from the planned place"))
+
+    def text(worst: int) -> str:
+        one, message = found[worst]
+        return f"target {one.target + 1}: {message}: check the contact frame and the poses"
+
+    yield from most(doubt, "pose-place", f"streams/{presses.pose.name}/value", text)
+
+
+WITNESSES: tuple[Witness, ...] = (
+    impossible,
+    clear_force,
+    pulls,
+    scale,
+    force_over_depth,
+    shear_follows,
+    levers,
+    speeds,
+    places,
+    pictures,
+    taxels,
+)

@@ -1,0 +1,176 @@
+"""Presses of a session as its witnesses see them: force and place in each phase."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.session import align
+from recorder.session.columns import Stream
+from recorder.session.frames import axes_of, in_frame, surface_heights
+from recorder.session.reader import Session
+from recorder.spec import AXES, PHASES
+
+Floats = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+DOWN, ASIDE, BACK, UP = range(len(PHASES))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Phase:
+    """Samples of the gauge in one phase of a press."""
+
+    target: int
+    """Index of the target, numbered from 0."""
+    code: int
+    """Code of the phase, of `PHASES`."""
+    whole: bool
+    """True if it went on to its end."""
+    run: int
+    start: int
+    """When it began [ns]."""
+    end: int
+    """When it ended [ns]."""
+    first: int
+    """Row of the force stream that its first sample is in."""
+    wrench: Floats
+    """Forces and torques (n, 6) [N, N m], less those of the point's reference."""
+    depth: Floats
+    """Indentation (n,) [m]; NaN without an arm or a contact frame."""
+    place: Floats
+    """Places of the tip (m, 3) [m] in the contact frame, at the arm's own rate; may be empty."""
+
+
+class Presses:
+    """The presses of a session; an empty list without a gauge or phases."""
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+
+    @cached_property
+    def force(self) -> Stream | None:
+        """Stream of the gauge; not an arm's own estimate."""
+        name = self.session.first("force")
+        return None if name is None else self.session.streams[name]
+
+    @cached_property
+    def pose(self) -> Stream | None:
+        """Stream of the arm."""
+        name = self.session.first("pose")
+        return None if name is None else self.session.streams[name]
+
+    @cached_property
+    def frame(self) -> Floats | None:
+        """Contact frame in the base frame (6,) [m, rad]."""
+        frame = self.session.attrs.get("contact_frame")
+        return None if frame is None else np.asarray(frame, np.float64)
+
+    @cached_property
+    def measured(self) -> tuple[int, ...]:
+        """Axes that the gauge measures, by column."""
+        names = None if self.force is None else self.force.attrs.get("axes_measured")
+        return tuple(k for k, name in enumerate(AXES) if not names or name in names)
+
+    @cached_property
+    def values(self) -> Floats:
+        """All rows of the gauge (n, 6)."""
+        values = np.zeros((0, 6)) if self.force is None else self.force.array("value")
+        return np.asarray(values, np.float64)
+
+    @cached_property
+    def sigma(self) -> Floats:
+        """Noise of a sample of each axis (6,) [N, N m], by the references."""
+        reference = self.session.reference
+        if "wrench_std" not in reference or not len(reference["wrench_std"]):
+            return np.zeros(6)
+        noise = np.asarray(reference["wrench_std"], np.float64)
+        return np.nan_to_num(np.nanmedian(noise, axis=0)) if np.isfinite(noise).any() else noise[0]
+
+    def offset(self, run: int, target: int, t_ns: int) -> Floats:
+        """Return the reference (6,) of a target's point in a run, the latest before a time."""
+        reference, targets = self.session.reference, self.session.targets
+        if "point" not in targets or not len(reference["point"]) or "wrench" not in reference:
+            return np.zeros(6)
+        point = np.asarray(targets["point"])[target]
+        of_run = np.flatnonzero(np.asarray(reference["run"]) == run)
+        same = of_run[np.asarray(reference["point"])[of_run] == point]
+        rows = same if same.size else of_run
+        if not rows.size:
+            return np.zeros(6)
+        before = rows[np.asarray(reference["t_ns"])[rows] <= t_ns]
+        row = before[-1] if before.size else rows[0]
+        return np.asarray(np.nan_to_num(np.asarray(reference["wrench"], np.float64)[row]))
+
+    def places(self, run: int) -> tuple[Times, Floats]:
+        """Return times (m,) [ns] and places (m, 3) [m] of the tip in the contact frame."""
+        if self.pose is None or self.frame is None:
+            return np.zeros(0, np.int64), np.zeros((0, 3))
+        rows = self.session.rows_of_run(self.pose.name, run)
+        poses = np.asarray(self.pose.array("value"), np.float64)[rows]
+        with np.errstate(all="ignore"):
+            return self.pose.t_ns[rows], in_frame(self.frame, poses)
+
+    @cached_property
+    def phases(self) -> list[Phase]:
+        """Phases in the order of their segments."""
+        return list(self._phases())
+
+    def _phases(self) -> Iterator[Phase]:
+        segments, force = self.session.segments, self.force
+        if force is None or not len(segments["target"]):
+            return
+        heights = surface_heights(self.session)
+        runs: dict[int, tuple[Times, Times, Floats]] = {}
+        for row in range(len(segments["target"])):
+            run, target = int(segments["run"][row]), int(segments["target"][row])
+            if run not in runs:
+                runs[run] = (
+                    force.t_ns[self.session.rows_of_run(force.name, run)],
+                    *self.places(run),
+                )
+            times, moments, places = runs[run]
+            start, end = int(segments["start_ns"][row]), int(segments["end_ns"][row])
+            first, last = np.searchsorted(times, (start, end))
+            begin = int(self.session.rows_of_run(force.name, run).start or 0) + int(first)
+            wrench = self.values[begin : begin + int(last - first)]
+            depth = np.full(len(wrench), np.nan)
+            near = slice(*np.searchsorted(moments, (start, end)))
+            if len(moments) > 1:
+                height = align.linear(moments, places[:, 2], times[first:last]).value
+                depth = (heights[target] if target < len(heights) else 0.0) - height
+            yield Phase(
+                target,
+                int(segments["phase"][row]),
+                int(segments["outcome"][row]) == 0,
+                run,
+                start,
+                end,
+                begin,
+                wrench - self.offset(run, target, start),
+                depth,
+                places[near],
+            )
+
+    def of(self, *codes: int) -> list[Phase]:
+        """Return the phases of these codes that have samples."""
+        return [one for one in self.phases if one.code in codes and len(one.wrench)]
+
+    def planned(self, name: str, target: int) -> float:
+        """Return a number of a target's plan, such as `depth` [m]; NaN if it has none."""
+        column = self.session.targets.get(name)
+        known = column is not None and target < len(column)
+        return float(np.asarray(column)[target]) if known else float("nan")
+
+    def planned_place(self, target: int) -> Floats:
+        """Return the place that a target's press reaches (3,) [m] in the contact frame, or NaN."""
+        planned = self.session.targets.get("planned")
+        if planned is None or self.frame is None or target >= len(planned):
+            return np.full(3, np.nan)
+        return np.asarray(
+            (np.asarray(planned[target]) - self.frame[:3]) @ axes_of(self.frame[3:]).T
+        )

@@ -1,0 +1,41 @@
+"""What a witness has seen, and how doubtful it is."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.findings import Finding
+
+
+@dataclass(frozen=True, slots=True)
+class Testimony:
+    """The most doubtful place that a witness has seen."""
+
+    doubt: float
+    """What was seen over the threshold; NaN for what is no number."""
+    finding: Finding
+    """What it says above the threshold."""
+
+    @property
+    def doubtful(self) -> bool:
+        """True above the threshold."""
+        return not self.doubt <= 1.0
+
+
+def most(
+    doubt: Sequence[float] | NDArray[Any], code: str, where: str, text: Callable[[int], str]
+) -> Iterator[Testimony]:
+    """Yield the testimony of the most doubtful of several places (n,), if there is one.
+
+    `text` says what is doubtful about one of them.
+    """
+    some = np.asarray(doubt, np.float64)
+    if not some.size:
+        return
+    worst = int(np.argmax(np.where(np.isnan(some), np.inf, some)))
+    count = int((~(some <= 1.0)).sum())
+    more = f" (and {count - 1} more like it)" if count > 1 else ""
+    yield Testimony(float(some[worst]), Finding(code, where, text(worst) + more))
