@@ -43,7 +43,7 @@ WARNINGS = {
     "pose-speed": "poses that no arm can have: their speed, jump, reach or turn",
     "pose-place": "presses that end away from their planned place, or an arm that stands",
     "dark": "pictures without contrast",
-    "unlike-reference": "pictures that show the reference turned, or nothing of it",
+    "turned": "pictures that show the reference turned or mirrored",
     "odd-image": "a picture unlike both of its neighbours, which are alike",
     "image-jump": "a picture that is another one all at once",
     "still-image": "pictures that do not change in a press",

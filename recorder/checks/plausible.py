@@ -66,7 +66,7 @@ UNITS = {
 }
 # Least depth of presses whose force is compared with it [m], their least number, and how well force
 # must rise with depth (correlation).
-DEEP, SEVERAL, RISES = 0.25e-3, 5, 0.5
+DEEP, SEVERAL, RISES = 0.25e-3, 5, 0.4
 # How well side forces must follow the shear, rotated (1: exactly); directions that are needed; and
 # force in noise.
 FOLLOWS, SPREAD = 0.5, 0.15
@@ -343,6 +343,8 @@ FASTER, FAST, TURNING, OVER = 4.0, 2.0, 6.0, 0.1
 REACH, TURN, JUMP, JUMPY = 4.0, 7.0, 0.5e-3, 10.0
 # Distance of the reached place from the planned one [m], and over the way to it.
 AWAY, AWAY_OF_WAY = 0.3e-3, 0.05
+# Last samples of a phase whose median is its end, as reported positions jitter.
+ENDING = 5
 # Way that a phase plans at least, and the part of it that a frozen pose does not go [m].
 WAY, STANDS = 0.2e-3, 0.2
 
@@ -429,7 +431,7 @@ def places(presses: Presses) -> Iterator[Testimony]:
                 (one, f"the pose goes {1e3 * gone:.3g} mm down, of {1e3 * depth:.3g} mm and more")
             )
         if one is last[one.target] and np.isfinite(goal).all():
-            away = float(np.linalg.norm(one.place[-1] - goal))
+            away = float(np.linalg.norm(np.median(one.place[-ENDING:], axis=0) - goal))
             doubt.append(away / (AWAY + AWAY_OF_WAY * float(np.linalg.norm(way))))
             found.append((one, f"the pose ends {1e3 * away:.3g} mm from the planned place"))
 
