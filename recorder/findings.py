@@ -34,6 +34,7 @@ CODES = {
 # Codes of the warnings: values that are stored as they came, and can hardly be true.
 WARNINGS = {
     "impossible": "a value that no device of this rating sends",
+    "untrusted": "samples that the device marks as invalid",
     "clear-force": "a force while nothing is touched",
     "wrong-sign": "a pull while the skin is pressed",
     "scale": "a force of another size than the skin's, or than other presses of that depth have",

@@ -105,6 +105,21 @@ def impossible(presses: Presses) -> Iterator[Testimony]:
     yield Testimony(float(sizes[row, axis]), Finding("impossible", _where(presses), message))
 
 
+def marked(presses: Presses) -> Iterator[Testimony]:
+    """Samples that the device marks as untrusted."""
+    for stream in presses.session.streams.values():
+        bits = int(stream.attrs.get("untrusted") or 0)
+        if bits and "status" in stream.small:
+            words = np.asarray(stream.array("status"), np.int64) & bits
+            bad = np.flatnonzero(words)
+            row, word = (int(bad[0]), int(words[bad[0]])) if bad.size else (0, 0)
+            message = (
+                f"the device marks {bad.size} samples as invalid, first row {row} (0x{word:x})"
+            )
+            finding = Finding("untrusted", f"streams/{stream.name}/status", message)
+            yield Testimony(2.0 * bool(bad.size), finding)
+
+
 def _peak(presses: Presses) -> float:
     """Return the median over presses of the largest force [N]."""
     tops = [np.nanmax(np.abs(one.wrench[:, :3])) for one in presses.of(DOWN)]
@@ -444,6 +459,7 @@ def places(presses: Presses) -> Iterator[Testimony]:
 
 WITNESSES: tuple[Witness, ...] = (
     impossible,
+    marked,
     clear_force,
     pulls,
     scale,

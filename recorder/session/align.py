@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from recorder.errors import SessionError
 from recorder.session.columns import Columns
 from recorder.session.loss import Losses
-from recorder.spec import STAMPS, Traits
+from recorder.spec import AXES, STAMPS, Traits
 
 Times = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -247,6 +247,8 @@ class Source:
     """Exposure time before a capture [s]."""
     losses: Losses
     """Lost samples, placed between the captures around them."""
+    bad: Bools
+    """True for samples that are no number on a measured axis, or that the device marks (m,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,10 +281,10 @@ def source(stream: Columns, rows: slice, losses: Losses) -> Source:
     numbers = np.arange(len(stream.t_ns), dtype=np.int64)[rows]
     column = stream.value_column
     values = stream.array("value")[rows] if column is not None and column.is_number else None
-    lost = losses.on(times)
+    lost, bad = losses.on(times), bad_samples(stream, rows, values)
     if np.any(np.diff(times) < 0):
         order = np.argsort(times, kind="stable")
-        times, numbers = times[order], numbers[order]
+        times, numbers, bad = times[order], numbers[order], bad[order]
         values = None if values is None else values[order]
     max_age = max(stream.traits.defaults.max_age, _MAX_AGE_PERIODS / stream.rate_hz)
     return Source(
@@ -295,7 +297,32 @@ def source(stream: Columns, rows: slice, losses: Losses) -> Source:
         _number(stream, "max_age", max_age),
         _number(stream, "exposure", EXPOSURE),
         lost,
+        bad,
     )
+
+
+# Forces and torques of a gauge above which a sample is no measurement [N, N m].
+NO_FORCE = 1e5
+
+
+def bad_samples(stream: Columns, rows: slice, values: Array | None) -> Bools:
+    """Return True for samples that cannot be used (m,).
+
+    They are no number on an axis that is measured, no force, or have a bit of the stream's
+    attribute `untrusted` in their status word.
+    """
+    bad = np.zeros(len(stream.t_ns[rows]), np.bool_)
+    if values is not None and values.dtype.kind == "f":
+        flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
+        axes = stream.attrs.get("axes_measured")
+        if isinstance(axes, list) and flat.shape[1] == len(AXES):
+            flat = flat[:, np.isin(AXES, axes)]
+        with np.errstate(invalid="ignore"):
+            bad |= ~np.isfinite(flat).all(axis=1)
+            bad |= (stream.traits.kind == "force") & (np.abs(flat) > NO_FORCE).any(axis=1)
+    if stream.attrs.get("untrusted") and "status" in stream.names:
+        bad |= (stream.array("status")[rows].astype(np.int64) & int(stream.attrs["untrusted"])) != 0
+    return bad
 
 
 def has_device_times(stream: Columns) -> bool:
@@ -347,7 +374,7 @@ class AlignedStream:
     """Distance from the capture to the nearest sample used (n,) [s]; for the signal, tick minus
     capture; NaN where there is none."""
     valid: Bools
-    """True if all samples used are near enough, and none that was needed is lost (n,)."""
+    """True if all samples used are near enough and can be used, and none needed is lost (n,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -479,11 +506,14 @@ def _aligned(source: Source, method: str, capture: Times, exposure: float) -> Al
         start, stop = capture - round(exposure / NS), capture
         aligned = mean(source.times, source.values, start, stop, max_age=source.max_age)
         lost = source.losses.touch(start, stop)
+        bad = mean(source.times, source.bad[:, None], start, stop)
     else:
         interpolate = pose if source.is_pose else linear
         aligned = interpolate(source.times, source.values, capture, max_age=source.max_age)
         lost = source.losses.around(capture)
-    return AlignedStream(source.traits, aligned.value, None, aligned.age, aligned.valid & ~lost)
+        bad = linear(source.times, source.bad[:, None], capture)
+    valid = aligned.valid & ~lost & ~(bad.value[:, 0] > 0)
+    return AlignedStream(source.traits, aligned.value, None, aligned.age, valid)
 
 
 def _sampled(source: Source, picked: Picked, moments: Times) -> AlignedStream:
@@ -498,6 +528,7 @@ def _sampled(source: Source, picked: Picked, moments: Times) -> AlignedStream:
     sampled = moments.copy()
     sampled[some] = source.times[picked.index[some]]
     lost = source.losses.touch(np.minimum(sampled, moments), np.maximum(sampled, moments))
+    lost[some] |= source.bad[picked.index[some]]
     return AlignedStream(source.traits, value, rows, picked.age, picked.valid & ~lost)
 
 

@@ -35,7 +35,7 @@ UNITS: Mapping[str, tuple[str, str]] = {
     "depth": ("m", "indentation, from the pose; negative above the surface, NaN if unknown"),
     "skew": ("s", "largest distance of a value from the capture it is given for"),
     "time_sigma": ("s", "standard uncertainty of the alignment; twice it covers 95 %"),
-    "valid": ("1", "every stream that has a role had samples near enough, and lost none needed"),
+    "valid": ("1", "every stream with a role had samples near enough, none of them lost or bad"),
 }
 
 _BUILDING, _OLD = "frames.building", "frames.old"

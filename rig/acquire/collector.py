@@ -390,9 +390,11 @@ class Collector:
     def _stream_attrs(self, name: str, request: CollectRequest) -> dict[str, Any]:
         """Return a stream's attributes other than the properties of its device."""
         if name in self._bias:
-            axes = self._bench.row(name).config.axes_measured
-            partly = {} if len(axes) == len(AXES) else {"axes_measured": list(axes)}
-            return {"bias": self._bias[name].tolist(), **partly}
+            gauge = self._bench.row(name).config
+            axes, untrusted = gauge.axes_measured, gauge.UNTRUSTED_MASK
+            more = {} if len(axes) == len(AXES) else {"axes_measured": list(axes)}
+            more |= {"untrusted": untrusted} if untrusted else {}
+            return {"bias": self._bias[name].tolist(), **more}
         attrs = request.calibration.stream_attrs(name)
         cameras = [row.name for row in self._bench.of_kind("camera")]
         played = request.mock_sources and "camera" in request.mock_sources

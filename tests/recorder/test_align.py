@@ -1,5 +1,6 @@
 """Alignment against its definition, written out one query at a time."""
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,6 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from support.sessions import edit_json, make_session, reseal
 
 from recorder.session.align import (
     captured,
@@ -20,7 +22,9 @@ from recorder.session.align import (
     rotation_vector,
     source,
 )
+from recorder.session.frames import frames_table
 from recorder.session.loss import Losses
+from recorder.session.reader import Session
 from recorder.spec import Traits
 
 LATE = 5_000_000_000_000_000  # [ns]; float64 resolves only 1 ns here, in seconds * 1e9
@@ -275,3 +279,25 @@ def test_a_source_is_in_the_order_of_its_captures_and_holds_a_value_for_two_peri
     assert source(stream, slice(1, 3), Losses.none("sequence")).rows.tolist() == [1, 2]
     limited = stream_of("values", "none", rate_hz=4.0, max_age=0.25)
     assert source(limited, slice(0, 3), Losses.none("sequence")).max_age == 0.25
+
+
+def test_rows_are_not_valid_if_a_sample_that_they_need_is_bad(tmp_path: Path) -> None:
+    def change(name: str, columns: dict[str, Any]) -> dict[str, Any]:
+        if name == "force":
+            columns["value"][500, 2] = np.nan
+            columns["value"][1000, 0] = 2e5
+            columns["status"][1500] = 1 << 17
+            columns["status"][2000] = 1 << 16  # a warning
+        return columns
+
+    path = make_session(tmp_path / "s.zarr", names=("force", "pose"), change=change)
+    edit_json(
+        path / "streams/force/zarr.json", lambda one: one["attributes"].update(untrusted=1 << 17)
+    )
+    reseal(path)
+    table = frames_table(Session(path), 40)
+    t_ns = Session(path).streams["force"].t_ns
+    for row, valid in ((500, False), (1000, False), (1500, False), (2000, True), (2500, True)):
+        near = int(np.abs(table["t_ns"] - t_ns[row]).argmin())
+        assert table["valid"][max(near - 1, 0) : near + 2].all() == valid
+    assert table["valid"].mean() > 0.9

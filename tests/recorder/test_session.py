@@ -167,7 +167,7 @@ def test_every_label_belongs_to_its_image_and_not_to_its_tick(recorded: Path) ->
         assert capture <= tick < camera.t_ns[image + 1]
         assert frames["image_age"][row] == pytest.approx((tick - capture) * 1e-9)
         lit = (force.t_ns >= capture - 10_000_000) & (force.t_ns <= capture)
-        offset = 0.25 if point[row] == 0 else 0.0
+        offset = np.repeat([0.25 if point[row] == 0 else 0.0, 0.0], 3)
         expected = force.array("value")[lit].mean(axis=0) - offset
         np.testing.assert_allclose(frames["wrench"][row], expected, atol=1e-12)
         depth = depth_at(np.array([(capture - T0) * 1e-9]))[0]
