@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from recorder.archive import MarkerArchive
     from recorder.checks.check import check
+    from recorder.checks.plausible import doubts
     from recorder.checks.recover import recover
     from recorder.errors import SessionError
     from recorder.findings import Finding, faults
@@ -63,6 +64,7 @@ __all__ = [
     "check",
     "contact_sheet",
     "depth_spec",
+    "doubts",
     "event_row",
     "event_text",
     "events_spec",
@@ -88,6 +90,7 @@ _MODULES = {
     "Window": "session.align",
     "check": "checks.check",
     "contact_sheet": "session.sheet",
+    "doubts": "checks.plausible",
     "faults": "findings",
     "recover": "checks.recover",
     "to_pandas": "session.tables",

@@ -8,7 +8,9 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from recorder import doubts
 from recorder.command_line.options import next_command
+from recorder.command_line.terminal import paint
 from recorder.convert import (
     Answers,
     As,
@@ -93,6 +95,8 @@ def run(options: argparse.Namespace) -> int:
     presses = sum(len(draft.presses) for draft in drafts)
     for path in written:
         print(f"{path}: imported")
+        for doubt in doubts(Session(path)):
+            print(paint(str(doubt), "warning"))
     print(f"{len(drafts)} recordings, {presses} presses, {len(written)} sessions")
     kinds = {track.kind for draft in drafts for track in draft.take.tracks}
     if not kinds & {"video", "taxels"}:

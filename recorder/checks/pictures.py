@@ -44,7 +44,7 @@ TURNS: dict[str, Callable[[Floats], Floats]] = {
 
 
 def pictures(presses: Presses) -> Iterator[Testimony]:
-    """Yield what the pictures of each camera tell."""
+    """Yield the testimonies about the pictures of each camera."""
     session = presses.session
     for name in session.of_kind("camera"):
         stream = session.streams[name]
@@ -66,7 +66,7 @@ def pictures(presses: Presses) -> Iterator[Testimony]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Looked:
-    """What is kept of n pictures, each an eighth as large, after one look at all of them."""
+    """Numbers of n pictures, each an eighth as large, after one look at all of them."""
 
     contrast: Floats
     """Spread of grey levels (n,)."""

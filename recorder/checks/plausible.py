@@ -1,9 +1,9 @@
-"""Whether what was recorded can be true: witnesses, each a function that healthy data leave quiet.
+"""Witnesses of recordings that cannot be true: each a function that healthy data leave quiet.
 
 A witness compares one quantity with another that it cannot contradict: a force with the depth, the
 place of the tip with its plan, a torque with the lever of its force. It says how near its threshold
-it came, 1 at the threshold, so that the margin of healthy sessions is known. Without what it needs
-it says nothing.
+it came, 1 at the threshold, so that the margin of healthy sessions is known. Without the
+other quantity it says nothing.
 """
 
 from __future__ import annotations
@@ -27,19 +27,18 @@ Floats = NDArray[np.float64]
 Witness = Callable[[Presses], Iterator[Testimony]]
 
 
-def testimonies(session: Session) -> Iterator[Testimony]:
-    """Yield what each witness has seen, doubtful or not."""
+def statements(session: Session, *, images: bool = True) -> Iterator[Testimony]:
+    """Yield the testimonies of all witnesses, doubtful or not; without `images` none is decoded."""
     presses = Presses(session)
     for witness in WITNESSES:
-        with np.errstate(all="ignore"):
-            yield from witness(presses)
+        if images or witness is not pictures:
+            with np.errstate(all="ignore"):
+                yield from witness(presses)
 
 
-def doubts(session: Session) -> Iterator[Finding]:
-    """Yield a warning of each witness that has a reason for one."""
-    for one in testimonies(session):
-        if one.doubtful:
-            yield one.finding
+def doubts(session: Session, *, images: bool = True) -> Iterator[Finding]:
+    """Yield a warning of each witness that has a reason for one; as `statements`."""
+    return (one.finding for one in statements(session, images=images) if one.doubtful)
 
 
 # The gauge.
@@ -55,7 +54,7 @@ CLEAR_LEAST, CLEAR_OF_PEAK, CLEAR_NOISE = 0.3, 0.05, 5.0
 PRESSED, PULL = 0.3, 0.1
 # Largest factor of a force beside the expected interval, and beside other presses of its depth.
 SCALE, BESIDE = 3.0, 3.0
-# Known factors between units, by what was taken for a newton.
+# Known factors between units, by the one that was taken for a newton.
 UNITS = {
     "mN (1000)": 1e3,
     "kN (0.001)": 1e-3,
@@ -354,7 +353,7 @@ def levers(presses: Presses) -> Iterator[Testimony]:
 # Largest speed over the planned one; without a plan [m/s]; turning [rad/s]; over this time [s].
 FASTER, FAST, TURNING, OVER = 4.0, 2.0, 6.0, 0.1
 # Largest distance of an arm from its base [m], turn of a pose [rad], and jump to the next one [m]
-# beside so many times what the fastest hundredth of all steps makes usual.
+# beside 10 times the speed that a hundredth of all steps exceeds.
 REACH, TURN, JUMP, JUMPY = 4.0, 7.0, 0.5e-3, 10.0
 # Distance of the reached place from the planned one [m], and over the way to it.
 AWAY, AWAY_OF_WAY = 0.3e-3, 0.05

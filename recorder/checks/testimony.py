@@ -1,4 +1,4 @@
-"""What a witness has seen, and how doubtful it is."""
+"""Testimony of a witness, and how doubtful it is."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -15,9 +15,9 @@ class Testimony:
     """The most doubtful place that a witness has seen."""
 
     doubt: float
-    """What was seen over the threshold; NaN for what is no number."""
+    """Value seen over the threshold; NaN if it is no number."""
     finding: Finding
-    """What it says above the threshold."""
+    """Words for a value above the threshold."""
 
     @property
     def doubtful(self) -> bool:
@@ -30,7 +30,7 @@ def most(
 ) -> Iterator[Testimony]:
     """Yield the testimony of the most doubtful of several places (n,), if there is one.
 
-    `text` says what is doubtful about one of them.
+    `text` describes the doubtful one, by its index.
     """
     some = np.asarray(doubt, np.float64)
     if not some.size:

@@ -13,6 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from recorder import doubts
 from recorder.command_line.errors import (
     EXIT_DEVICE_LOST,
     EXIT_DONE,
@@ -440,6 +441,8 @@ class Collector:
         try:
             contact_sheet(path, picture)
             print(f"contact sheet: {picture}")
+            for doubt in doubts(session, images=False):
+                print(paint(str(doubt), "warning"))
         except (SessionError, OSError) as error:
             logger.warning("no contact sheet: %s", error)
 

@@ -215,9 +215,9 @@ class FrameCollector:
         if body.touched(np.flatnonzero(touched)):
             self._at_side["rim"].append(frame)
         wall = body.wall(columns)
-        if share := body.overlapped(wall, tip):
+        if overlap := body.overlapped(wall, tip):
             self._at_side["wall"].append(frame)
-            self._wall_shares.append(float(f"{share:.4g}"))
+            self._wall_shares.append(float(f"{overlap:.4g}"))
         self._below_base = max(self._below_base, -1.0 - float(wall[..., 2].min()))
 
     def up_to(self, frames: int) -> Self:

@@ -67,7 +67,7 @@ def still(rows: Columns) -> Any:
 def test_healthy_sessions_leave_all_witnesses_at_half_of_their_thresholds(tmp_path: Path) -> None:
     for number, names in enumerate((ALL, ("force", "pose"), ("camera",), ("camera", "force"))):
         path = make_session(tmp_path / f"{number}.zarr", seconds=LONG, names=names)
-        seen = list(plausible.testimonies(Session(path)))
+        seen = list(plausible.statements(Session(path)))
         assert {one.finding.code: one.doubt for one in seen if not one.doubt <= 0.5} == {}
     assert warned(path) == {}
 
@@ -185,7 +185,7 @@ def test_forces_are_held_against_those_expected_of_the_skin(tmp_path: Path) -> N
     for factor, doubtful in ((1.0, False), (1.8, False), (4.448, True), (1000.0, True)):
         forces = [[2.5 / factor, 3.5 / factor]]
         session.attrs["expected_force"] = {"depths": [DEPTH], "forces": forces}
-        seen = [one for one in plausible.testimonies(session) if "expected" in one.finding.message]
+        seen = [one for one in plausible.statements(session) if "expected" in one.finding.message]
         assert [one.doubtful for one in seen] == [doubtful]
         if doubtful:
             assert f"({factor:.4g})"[:4] in seen[0].finding.message
