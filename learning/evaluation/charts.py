@@ -144,7 +144,9 @@ def predicted_over_true(shown: Predictions) -> bytes:
                 axes.plot([ends.min(), ends.max()], [ends.min(), ends.max()], color=INK, lw=0.8)
             axes.set(xlabel=f"true {AXES_NAMED[axis]} [N]", aspect="equal", adjustable="datalim")
         figure.axes[0].set_ylabel("predicted [N]")
-        figure.axes[0].legend(fontsize=6, markerscale=4)
+        named = [axes for axes in figure.axes if axes.get_legend_handles_labels()[0]]
+        for axes in named[:1]:  # of the first axis that is measured
+            axes.legend(fontsize=6, markerscale=4)
     return png.getvalue()
 
 

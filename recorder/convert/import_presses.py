@@ -24,6 +24,10 @@ Span = tuple[int, int]
 _STILL_S, _STILL_SAMPLES, _STILL_MOST = 0.15, 5, 0.25
 # Spans whose force differs by less than this part of the largest one are equally free of contact.
 _AS_FREE = 0.02
+# Part of the samples that a glitch may be; lengths of a span that a force without contact lasts in
+# all; times that one lasts longer than another that does not count beside it; and change of images
+# between two spans, over the largest, below which they show the same.
+_GLITCH, _LASTS, _LONGER, _SEEN_ALIKE = 0.02, 2, 3.0, 0.25
 # A recording that ends this far from its beginning, as part of its largest change, may begin or end
 # in contact: images and taxels cannot tell which.
 _RETURNED = 0.4
@@ -91,49 +95,115 @@ def force_signal(t_ns: Times, wrench: Floats, axes: Sequence[str]) -> Signal:
     return Signal("force [N]", t_ns, rows, np.asarray(pressing, np.float64))
 
 
-def find_no_contact(signal: Signal, recording: str) -> Span:
+def find_no_contact(signal: Signal, recording: str, seen: Signal | None = None) -> Span:
     """Return the span in which nothing touched the sensor [ns].
 
-    With a force it is the first still span of the least pressing force; with images or taxels it is
-    the beginning, if the recording returns to it.
+    With a force it is the first still span of the least pressing force that lasts. A recording that
+    begins with more is free at its beginning if images or taxels, `seen`, are alike in both, or if
+    that force lasts far longer or alone comes back; else the least one must come back. With images
+    or taxels alone it is the beginning, if the recording returns to it.
+
+    Raises:
+        MissingAnswer: Nothing tells which of two spans is free of contact.
     """
-    t_ns, count = signal.t_ns, len(signal.t_ns)
-    step = float(np.median(np.diff(t_ns))) * NS if count > 1 else 1.0
-    length = max(_STILL_SAMPLES, round(_STILL_S / max(step, 1e-9)))
-    length = int(max(1, min(length, count * _STILL_MOST)))
+    length = _length(signal)
     if signal.pressing is not None:
-        windows = np.lib.stride_tricks.sliding_window_view(signal.pressing, length)
-        mean = windows.mean(axis=1)
-        score = mean + 3 * windows.std(axis=1)
-        # Of spans that are about as free of force the first is the best: gel creeps after contact.
-        _require_ends(f"{recording}: {signal.name}", mean)
-        least = float(score.min()) + _AS_FREE * float(np.ptp(signal.pressing))
-        return _span(t_ns, int(np.flatnonzero(score <= least)[0]), length)
+        return _of_force(signal, signal.pressing, recording, length, seen)
+    t_ns, count = signal.t_ns, len(signal.t_ns)
     begin, end = signal.rows[:length], signal.rows[-length:]
     change = np.abs(signal.rows - begin.mean(axis=0)).mean(axis=1)
     largest = float(change.max())
     apart = float(np.abs(end.mean(axis=0) - begin.mean(axis=0)).mean())
     noise = max(float(change[:length].max()), 1e-12)
     if largest > _CLEAR * noise and apart > _RETURNED * largest:
-        spans = (_span(t_ns, at, length) for at in (0, count - length))
-        raise MissingAnswer(
-            "no_contact",
+        raise _undecided(
             f"{recording}: {signal.name}: the recording ends {100 * apart / largest:.0f} % of its "
             "largest change away from its beginning, so one of them is in contact, and nothing "
             "tells which",
-            [f"{recording}={NS * begin:.2f}:{NS * end:.2f}" for begin, end in spans],
+            recording,
+            [_span(t_ns, at, length) for at in (0, count - length)],
         )
     return _span(t_ns, 0, length)
 
 
-def _require_ends(name: str, pressing: Floats) -> None:
-    """Reject forces that press most at both ends of a recording: the sign may be the other one."""
-    middle = float(pressing.min() + pressing.max()) / 2
+def _length(signal: Signal) -> int:
+    """Return the number of samples of a span without contact."""
+    count = len(signal.t_ns)
+    step = float(np.median(np.diff(signal.t_ns))) * NS if count > 1 else 1.0
+    length = max(_STILL_SAMPLES, round(_STILL_S / max(step, 1e-9)))
+    return int(max(1, min(length, count * _STILL_MOST)))
+
+
+def _undecided(message: str, recording: str, spans: Sequence[Span]) -> MissingAnswer:
+    texts = [f"{recording}={NS * begin:.2f}:{NS * end:.2f}" for begin, end in spans]
+    return MissingAnswer("no_contact", message, texts)
+
+
+def _of_force(
+    signal: Signal, pressing: Floats, recording: str, length: int, seen: Signal | None
+) -> Span:
+    t_ns, name = signal.t_ns, f"{recording}: {signal.name}"
+    windows = np.lib.stride_tricks.sliding_window_view(pressing, length)
+    mean, spread = windows.mean(axis=1), windows.std(axis=1)
+    # A few samples far off, a glitch, are no part of the range.
+    low, high = np.quantile(mean, (_GLITCH, 1.0 - _GLITCH))
+    near = max(_AS_FREE * float(high - low), 3.0 * float(np.median(spread)))
+    score = mean + 3 * spread
+    order = np.sort(pressing)
+    last = np.searchsorted(order, mean + near, side="right")
+    lasts = last - np.searchsorted(order, mean - near) >= min(_LASTS * length, len(pressing) // 2)
+    lasting = lasts & (spread <= 2.0 * near) if (lasts & (spread <= 2.0 * near)).any() else lasts
+    lasting = lasting if lasting.any() else np.ones(len(mean), np.bool_)
+    # Of spans that are about as free of force the first is the best: gel creeps after contact.
+    least = float(score[lasting].min()) + near
+    first = int(np.flatnonzero(lasting & (score <= least))[0])
+    level, begins = float(mean[first]), float(mean[0])
+    free, begin = _span(t_ns, first, length), _span(t_ns, 0, length)
+    later = bool(lasting[0]) and begins - level > near
+    if later and seen is not None and _alike(seen, begin, free):
+        return begin
+    _require_ends(name, pressing, mean[lasting])
+    if not later:
+        return free
+    at_begin, at_level = (_stays(mean, each, near, length) for each in (begins, level))
+    if sum(at_begin) > _LONGER * sum(at_level) or len(at_begin) > 1 >= len(at_level):
+        return begin
+    if len(at_level) > 1:
+        return free
+    raise _undecided(
+        f"{name}: it begins with {begins:.3g} N and presses least, {level:.3g} N, once, at "
+        f"{NS * free[0]:.2f} s, and nothing tells which of them is without contact",
+        recording,
+        [begin, free],
+    )
+
+
+def _stays(mean: Floats, level: float, near: float, length: int) -> list[int]:
+    """Return the numbers of samples of each stay near a level, by means over a span (n,)."""
+    return [last + length - first for first, last in _runs(np.abs(mean - level) <= near)]
+
+
+def _alike(seen: Signal, one: Span, other: Span) -> bool:
+    """True if images or taxels of two spans differ by little of their largest change."""
+    rows = [seen.rows[(seen.t_ns >= a) & (seen.t_ns < b)] for a, b in (one, other)]
+    if not len(rows[0]) or not len(rows[1]):
+        return False
+    rest, there = (each.mean(axis=0) for each in rows)
+    largest = float(np.abs(seen.rows - rest).mean(axis=1).max())
+    return float(np.abs(there - rest).mean()) < _SEEN_ALIKE * largest
+
+
+def _require_ends(name: str, pressing: Floats, levels: Floats) -> None:
+    """Reject forces that press most at both ends of a recording: the sign may be the other one.
+
+    `levels` are the forces that last.
+    """
+    middle = float(levels.min() + levels.max()) / 2
     if pressing[0] > middle and pressing[-1] > middle:
         raise MissingAnswer(
             "no_contact",
             f"{name}: presses with {pressing[0]:.3g} and {pressing[-1]:.3g} N at the ends of the "
-            f"recording and {pressing.min():.3g} N between; a session has negative Fz under "
+            f"recording and {levels.min():.3g} N between; a session has negative Fz under "
             "contact, so turn the sign of the file's forces, or, if it begins and ends in contact",
             ("START:END in seconds",),
         )

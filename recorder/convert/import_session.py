@@ -45,6 +45,7 @@ from recorder.session.frames import in_frame
 from recorder.session.stream_writer import StreamWriter
 from recorder.session.writer import SessionWriter
 from recorder.spec import (
+    AXES,
     PHASES,
     Column,
     StreamSpec,
@@ -137,8 +138,9 @@ def _draft(take: Take, answers: Answers) -> Draft:
         _require_sign(forces, no_contact, presses)
     if presses:
         begin, end_s = NS * no_contact[0], NS * no_contact[1]
+        zero = "" if forces is None else f" ({_zero(forces, no_contact)})"
         assumed.append(
-            f"{take.name}: without contact from {begin:.3f} to {end_s:.3f} s, "
+            f"{take.name}: without contact from {begin:.3f} to {end_s:.3f} s{zero}, "
             f"{len(presses)} presses by {trace.name}"
         )
     return Draft(take, indenter, no_contact, tuple(presses), trace, end_ns, lag, tuple(assumed))
@@ -223,6 +225,16 @@ def _shifted(take: Take, clock: str, seconds: float) -> Take:
     return replace(take, tracks=tuple(tracks))
 
 
+def _zero(track: RecordedTrack, no_contact: Span) -> str:
+    """Return the forces that are taken for none, such as `Fz 0.31 N is zero`."""
+    content = track.content
+    if isinstance(content, Film):
+        return ""
+    rest = content.value[_inside(content.t_ns, no_contact), :3].mean(axis=0)
+    axes = [axis for axis in AXES[:3] if axis in content.attrs["axes_measured"]]
+    return ", ".join(f"{axis} {rest[AXES.index(axis)]:.3g} N" for axis in axes) + " is zero"
+
+
 def _common_end(seconds: dict[str, float], trim: bool) -> float:
     shortest, longest = min(seconds.values()), max(seconds.values())
     if trim:
@@ -249,7 +261,7 @@ def _contacts(
     if pressed == ["none"]:
         return (0, 0), [], signal.change(_rest(signal))
     stated = [_span("--no-contact", text) for text in answers.spans("no_contact", take.name)]
-    no_contact = stated[0] if stated else find_no_contact(signal, take.name)
+    no_contact = stated[0] if stated else find_no_contact(signal, take.name, sensed)
     trace = signal.change(no_contact)
     if pressed:
         spans = sorted(_span("--press", text) for text in pressed)
