@@ -31,7 +31,7 @@ def recorded(kind: str, peak: float, random: np.random.Generator) -> tuple[Float
         true = peak * np.clip((2 - TIMES) / 0.5, 0, 1) + press(3.5, 5.5, 0.8 * peak)
     if kind in ("dip", "dip in contact"):
         begin = 1.7 if kind == "dip in contact" else random.uniform(0.2, 7)
-        wrong -= random.uniform(1, 3) * peak * ((TIMES > begin) & (TIMES < begin + 0.5))
+        wrong -= random.uniform(1, 3) * peak * ((begin < TIMES) & (begin + 0.5 > TIMES))
     if kind == "glitch at the end":
         wrong[-random.integers(1, 4) :] -= 70
     if kind == "adhesion":
