@@ -236,8 +236,9 @@ def _late(presses: Presses, name: str, looked: Looked) -> Iterator[Testimony]:
             continue
         of_force = session.rows_of_run(force.name, run)
         times = stream.t_ns[rows] * NS - float(stream.attrs.get("latency") or 0.0)
-        moments, size = force.t_ns[of_force] * NS, presses.values[of_force][:, axes]
-        size, order = np.linalg.norm(size, axis=1), np.argsort(moments)
+        moments, values = force.t_ns[of_force] * NS, presses.values[of_force]
+        size = np.sqrt(sum(values[:, axis] ** 2 for axis in axes))
+        order = np.argsort(moments)
         reach = round(LONGEST * stream.rate_hz)
         lags = np.arange(-reach, reach + 1) / stream.rate_hz
         at = [np.interp(times - lag, moments[order], size[order]) for lag in lags]

@@ -45,6 +45,8 @@ def doubts(session: Session, *, images: bool = True) -> Iterator[Finding]:
 
 # Values of a gauge over its rating that no gauge sends; without a rating [N, N m].
 OVER_RATING, IMPOSSIBLE = 5.0, (1e4, 1e3)
+# Rows that are looked at at once.
+BLOCK = 1 << 18
 # Time away from all presses after which a skin has recovered [s], part of it that is looked at at
 # once, and height of the tip [m].
 RECOVERED, CLEAR_PART, CLEAR_HEIGHT = 1.5, 0.25, 1e-3
@@ -80,7 +82,7 @@ def _where(presses: Presses, column: str = "value") -> str:
 
 def impossible(presses: Presses) -> Iterator[Testimony]:
     """Values that no gauge of this rating sends."""
-    if presses.force is None:
+    if not len(presses.values):
         return
     limits = (presses.session.attrs.get("bench") or {}).get("limits") or {}
     most = np.repeat(IMPOSSIBLE, 3)
@@ -90,18 +92,18 @@ def impossible(presses: Presses) -> Iterator[Testimony]:
     ):
         if isinstance(limits.get(key), list) and len(limits[key]) == 3:
             most[part] = OVER_RATING * si * np.asarray(limits[key], float)
-    axes = list(presses.measured)
-    sizes = np.abs(presses.values[:, axes]) / most[axes]
-    if not sizes.size:
-        return
-    row, axis = divmod(int(np.argmax(np.nan_to_num(sizes, nan=0.0))), len(axes))
-    column = axes[axis]
+    axes, worst = list(presses.measured), (0.0, 0, 0)
+    for first in range(0, len(presses.values), BLOCK):
+        sizes = np.nan_to_num(np.abs(presses.values[first : first + BLOCK, axes]) / most[axes])
+        row, k = divmod(int(sizes.argmax()), len(axes))
+        worst = max(worst, (float(sizes[row, k]), first + row, axes[k]))
+    doubt, row, column = worst
     unit = "N" if column < 3 else "N m"
     message = (
         f"{AXES[column]} is {presses.values[row, column]:.4g} {unit} in row {row}, a gauge sends "
         f"less than {most[column]:.4g} {unit}: check the unit, or the device's reading"
     )
-    yield Testimony(float(sizes[row, axis]), Finding("impossible", _where(presses), message))
+    yield Testimony(doubt, Finding("impossible", _where(presses), message))
 
 
 def marked(presses: Presses) -> Iterator[Testimony]:

@@ -38,12 +38,19 @@ class Phase:
     """When it ended [ns]."""
     first: int
     """Row of the force stream that its first sample is in."""
-    wrench: Floats
-    """Forces and torques (n, 6) [N, N m], less those of the point's reference."""
+    stored: Floats
+    """Forces and torques (n, 6) [N, N m] as they are stored, a part of all rows."""
+    offset: Floats
+    """Those of the point's reference (6,)."""
     depth: Floats
     """Indentation (n,) [m]; NaN without an arm or a contact frame."""
     place: Floats
     """Places of the tip (m, 3) [m] in the contact frame, at the arm's own rate; may be empty."""
+
+    @property
+    def wrench(self) -> Floats:
+        """Forces and torques (n, 6) [N, N m], less those of the point's reference."""
+        return self.stored - self.offset
 
 
 class Presses:
@@ -137,8 +144,7 @@ class Presses:
             start, end = int(segments["start_ns"][row]), int(segments["end_ns"][row])
             first, last = np.searchsorted(times, (start, end))
             begin = int(self.session.rows_of_run(force.name, run).start or 0) + int(first)
-            wrench = self.values[begin : begin + int(last - first)]
-            depth = np.full(len(wrench), np.nan)
+            depth = np.full(int(last - first), np.nan)
             near = slice(*np.searchsorted(moments, (start, end)))
             if len(moments) > 1:
                 height = align.linear(moments, places[:, 2], times[first:last]).value
@@ -151,14 +157,15 @@ class Presses:
                 start,
                 end,
                 begin,
-                wrench - self.offset(run, target, start),
+                self.values[begin : begin + int(last - first)],
+                self.offset(run, target, start),
                 depth,
                 places[near],
             )
 
     def of(self, *codes: int) -> list[Phase]:
         """Return the phases of these codes that have samples."""
-        return [one for one in self.phases if one.code in codes and len(one.wrench)]
+        return [one for one in self.phases if one.code in codes and len(one.stored)]
 
     def planned(self, name: str, target: int) -> float:
         """Return a number of a target's plan, such as `depth` [m]; NaN if it has none."""
