@@ -290,7 +290,7 @@ def wall_errors(result: Result) -> Array:
     """Return the error of a force by contact with a round body's side wall (F,), over the force."""
     fraction = np.zeros(len(result.force))
     at_wall = result.record.get("wall", [])
-    fraction[at_wall] = np.minimum(PER_WALL * np.array(result.record.get("wall_shares", 0.0)), 1.0)
+    fraction[at_wall] = np.minimum(PER_WALL * np.array(result.record.get("wall_shares", 1.0)), 1.0)
     return fraction
 
 

@@ -96,7 +96,7 @@ def run(options: argparse.Namespace) -> int:
     for path in written:
         print(f"{path}: imported")
         for doubt in doubts(Session(path)):
-            print(paint(str(doubt), "warning"))
+            print(paint(str(doubt), doubt.level))
     print(f"{len(drafts)} recordings, {presses} presses, {len(written)} sessions")
     kinds = {track.kind for draft in drafts for track in draft.take.tracks}
     if not kinds & {"video", "taxels"}:

@@ -9,24 +9,26 @@ import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
-from recorder.checks.presses import DOWN, Presses
+from recorder.checks.presses import DEEP, DOWN, Presses
 from recorder.checks.testimony import Testimony, most
 from recorder.findings import Finding
-from recorder.session.align import NS
+from recorder.session.align import NS, captured
 from recorder.session.columns import Stream
 
 Floats = NDArray[np.floating]
 
-# Part of an image's height and width that is looked at, and images that are held at once.
-SMALLER, HELD = 8, 256
-# Contrast over the usual one, and in grey levels, below which a picture is dark.
-DARK, DARKEST = 0.3, 2.0
+# Factor by which pictures are made smaller before they are looked at, if that leaves enough pixels
+# along each side; fewest of these; and pictures that are held at once.
+SMALLER, FEWEST, HELD = 8, 8, 256
+# Contrast over the usual one below which a picture is dark; and contrast and mean, in grey levels.
+DARK, DARKEST, BLACK = 0.3, 2.0, 30.0
 # How much better a turned picture agrees with the reference (correlation) than as it is.
 TURNED = 0.15
 # Difference of a picture from the middle of its neighbours over that of these, and over the noise.
 ODD, NOISY = 3.0, 8.0
-# Change from one picture to the next over those before and after it, and over the noise.
-JUMP, JUMP_NOISY = 5.2, 8.0
+# Change from one picture to the next over those before and after it, and over the noise; how much
+# more while the force changes [N]; and rate of a camera that sees a fast press between two [Hz].
+JUMP, JUMP_NOISY, MORE, PUSHED, SLOW = 5.2, 8.0, 4.0, 0.1, 20.0
 # Delay of the pictures behind the force [s], how much better both agree with it (correlation), how
 # well at least, and longest delay that is looked for [s].
 DELAY, BETTER, AGREE, LONGEST = 0.35, 0.02, 0.5, 1.0
@@ -48,17 +50,23 @@ def pictures(presses: Presses) -> Iterator[Testimony]:
     session = presses.session
     for name in session.of_kind("camera"):
         stream = session.streams[name]
-        if len(stream) < 4 or stream.layout.image is None:
+        if len(stream) < 4 or min(_size(stream)) < FEWEST:
             continue
         looked = _looked(stream, _reference_rows(presses, name))
         for run in range(1, len(session.runs)):  # pictures of two runs are no neighbours
             begin = session.rows_of_run(name, run).start or 0
             looked.change[max(begin - 1, 0) : begin] = 0.0
             looked.odd[max(begin - 2, 0) : begin] = 0.0
-        for row, why in looked.broken.items():
-            yield Testimony(np.inf, Finding("bad-image", f"streams/{name}", f"row {row}: {why}"))
-        for witness in (_dark, _turned, _exchanged, _jumps):
-            yield from witness(name, looked)
+        if looked.broken:
+            (row, why), *more = looked.broken.items()
+            message = f"row {row}: {why}" + (f" (and {len(more)} more like it)" if more else "")
+            yield Testimony(np.inf, Finding("bad-image", f"streams/{name}", message))
+        yield from _dark(name, looked)
+        yield from _turned(name, looked)
+        if stream.rate_hz >= SLOW:
+            pushed = _pushed(presses, name)
+            yield from _exchanged(name, looked, pushed)
+            yield from _jumps(name, looked, pushed)
         if name == session.signal:
             yield from _still(presses, name, looked)
             yield from _late(presses, name, looked)
@@ -70,6 +78,8 @@ class Looked:
 
     contrast: Floats
     """Spread of grey levels (n,)."""
+    level: Floats
+    """Their mean (n,)."""
     as_is: Floats
     """Correlation with the reference (n,); NaN without one."""
     turned: Floats
@@ -103,6 +113,7 @@ def _looked(stream: Stream, reference_rows: list[int]) -> Looked:
     for first in range(0, len(stream), HELD):
         some = smaller(stream, range(first, min(first + HELD, len(stream))), broken)
         parts["contrast"].append(some.std(axis=(1, 2)))
+        parts["level"].append(some.mean(axis=(1, 2)))
         parts["as_is"].append(_agreement(some, reference))
         parts["turned"].append(np.array([_agreement(some, turn) for turn in turns]))
         beside = np.full(len(some), np.nan) if reference is None else _rms(some - reference)
@@ -124,29 +135,34 @@ def _rms(images: Floats) -> Floats:
 
 
 def _size(stream: Stream) -> tuple[int, int]:
+    """Return height and width of the smaller pictures of a camera."""
     image = stream.layout.image
     height, width = (0, 0) if image is None else image.column.shape[:2]
-    return height // SMALLER, width // SMALLER
+    factor = SMALLER if min(height, width) >= SMALLER * FEWEST else 1
+    return height // factor, width // factor
 
 
 def smaller(stream: Stream, rows: Sequence[int], broken: dict[int, str]) -> Floats:
-    """Return pictures of a camera (n, h, w), grey and an eighth as large along each side.
+    """Return pictures of a camera (n, h, w), grey and of `_size`.
 
-    Rows that cannot be decoded are added to `broken`, and are those before them.
+    Rows that cannot be decoded are added to `broken`, and are as those before them, or NaN.
     """
     height, width = _size(stream)
     small = np.zeros((len(rows), height, width), np.float32)
     if stream.jpeg_shape is None:
-        some = stream.images(np.asarray(rows))[:, : height * SMALLER, : width * SMALLER]
-        shape = len(some), height, SMALLER, width, SMALLER * some.shape[3]
+        some = stream.images(np.asarray(rows))
+        factor = some.shape[1] // height
+        some = some[:, : height * factor, : width * factor]
+        shape = len(some), height, factor, width, factor * some.shape[3]
         return np.asarray(some.reshape(shape).mean(axis=(2, 4)), np.float32)
+    good = 0
     for k, (row, data) in enumerate(zip(rows, stream.jpegs(rows), strict=True)):
         try:
             image = simplejpeg.decode_jpeg(data, "GRAY", True, True, height, width)
-            small[k] = image[:height, :width, 0]
+            small[k], good = image[:height, :width, 0], k
         except ValueError as error:
             broken[row] = f"cannot be decoded: {error}"
-            small[k] = small[k - 1]
+            small[k] = small[good] if k else np.nan
     return small
 
 
@@ -170,8 +186,9 @@ def _agreement(small: Floats, other: Floats | None) -> Floats:
 def _dark(name: str, looked: Looked) -> Iterator[Testimony]:
     """Pictures without contrast: a light that is off, a cover, a cable."""
     contrast = looked.contrast
+    least = np.maximum(DARK * looked.usual, np.where(looked.level < BLACK, DARKEST, 0.0))
     yield from most(
-        max(DARK * looked.usual, DARKEST) / np.maximum(contrast, 1e-3),
+        least / np.maximum(contrast, 1e-3),
         "dark",
         f"streams/{name}",
         lambda row: (
@@ -198,9 +215,33 @@ def _turned(name: str, looked: Looked) -> Iterator[Testimony]:
     yield from most((best - as_is) / TURNED, "turned", f"streams/{name}", text)
 
 
-def _exchanged(name: str, looked: Looked) -> Iterator[Testimony]:
+def _pushed(presses: Presses, name: str) -> Floats:
+    """Return how much more than usual a picture may differ from the next (n - 1,)."""
+    stream, force, session = presses.session.streams[name], presses.force, presses.session
+    pushed = np.ones(max(len(stream) - 1, 0))
+    axes = [axis for axis in presses.measured if axis < 3]
+    for run in range(max(len(session.runs), 1)):
+        if force is None or not axes:
+            break
+        rows, of_force = (session.rows_of_run(each, run) for each in (name, force.name))
+        if rows.stop - rows.start < 2 or of_force.stop - of_force.start < 2:
+            continue
+        times, values = force.t_ns[of_force], presses.values[of_force]
+        # A picture shows the force of up to `LATE` before it arrives.
+        at = stream.t_ns[rows]
+        first, last = np.searchsorted(times, (at[:-1] - round(LATE / NS), at[1:]))
+        last = np.minimum(last, len(times) - 1)
+        apart = np.max(
+            [np.abs(values[last, k] - values[np.minimum(first, last), k]) for k in axes], 0
+        )
+        limit = PUSHED + 5.0 * float(presses.sigma[:3].max())
+        pushed[rows.start : rows.stop - 1] = np.where(apart > limit, MORE, 1.0)
+    return pushed
+
+
+def _exchanged(name: str, looked: Looked, pushed: Floats) -> Iterator[Testimony]:
     """Single pictures that belong elsewhere: their neighbours agree, and they do not."""
-    limit = ODD * looked.apart + NOISY * looked.noise
+    limit = (ODD * looked.apart + NOISY * looked.noise) * np.maximum(pushed[1:], pushed[:-1])
     yield from most(
         looked.odd / np.maximum(limit, 1e-3),
         "odd-image",
@@ -209,11 +250,11 @@ def _exchanged(name: str, looked: Looked) -> Iterator[Testimony]:
     )
 
 
-def _jumps(name: str, looked: Looked) -> Iterator[Testimony]:
+def _jumps(name: str, looked: Looked, pushed: Floats) -> Iterator[Testimony]:
     """Pictures that are another one all at once, as when they are turned or of another time."""
     change = looked.change
     before, after = np.append(change[1], change[:-1]), np.append(change[1:], change[-2])
-    limit = JUMP * np.maximum(before, after) + JUMP_NOISY * looked.noise
+    limit = (JUMP * np.maximum(before, after) + JUMP_NOISY * looked.noise) * pushed
     yield from most(
         change / np.maximum(limit, 1e-3),
         "image-jump",
@@ -235,13 +276,16 @@ def _late(presses: Presses, name: str, looked: Looked) -> Iterator[Testimony]:
         if force is None or not axes or len(moved) < 30 or np.isnan(moved).any():
             continue
         of_force = session.rows_of_run(force.name, run)
-        times = stream.t_ns[rows] * NS - float(stream.attrs.get("latency") or 0.0)
-        moments, values = force.t_ns[of_force] * NS, presses.values[of_force]
+        if of_force.stop - of_force.start < 2:
+            continue
+        times, moments = captured(stream)[rows] * NS, captured(force)[of_force] * NS
+        values = presses.values[of_force]
         size = np.sqrt(sum(values[:, axis] ** 2 for axis in axes))
-        order = np.argsort(moments)
+        order = np.argsort(moments, kind="stable")
+        moments, size = moments[order], size[order]
         reach = round(LONGEST * stream.rate_hz)
         lags = np.arange(-reach, reach + 1) / stream.rate_hz
-        at = [np.interp(times - lag, moments[order], size[order]) for lag in lags]
+        at = (np.interp(times - lag, moments, size) for lag in lags)
         agree = np.nan_to_num([np.corrcoef(moved, one)[0, 1] for one in at], nan=-1.0)
         best = int(agree.argmax())
         better = agree[best] > AGREE and agree[best] - agree[reach] > BETTER
@@ -256,13 +300,16 @@ def _late(presses: Presses, name: str, looked: Looked) -> Iterator[Testimony]:
 def _still(presses: Presses, name: str, looked: Looked) -> Iterator[Testimony]:
     """Pictures that do not change while a press begins, as those of others do."""
     stream, noise = presses.session.streams[name], looked.noise
-    found = []
+    axes, found = [axis for axis in presses.measured if axis < 3], []
     for one in presses.of(DOWN):
         rows = presses.session.rows_of_run(name, one.run)
         times, begin = stream.t_ns[rows], int(rows.start or 0)
         first = int(np.searchsorted(times, one.start))
         last = int(np.searchsorted(times, one.end + round(LATE / NS)))
-        if one.whole and first < last < len(times) and noise > 0:
+        felt = float(np.nanmax(np.linalg.norm(one.wrench[:, :3], axis=1), initial=0.0))
+        touched = not axes or felt > PUSHED + 5.0 * float(presses.sigma[:3].max())
+        deep = not presses.planned("depth", one.target) < DEEP
+        if one.whole and deep and touched and first < last < len(times) and noise > 0:
             both = smaller(stream, [begin + first, begin + last], {})
             found.append((float(_rms(both[1:] - both[:1])[0]) / noise, one.target, begin + first))
     changes = np.array([change for change, _target, _row in found])
@@ -278,9 +325,10 @@ def _still(presses: Presses, name: str, looked: Looked) -> Iterator[Testimony]:
         )
 
 
-# Noise of a taxel's axis over the median of all below which it is dead, and the least such median
-# [counts]: a quieter one may not show in whole numbers.
-DEAD, QUIET = 0.05, 0.5
+# Noise of a taxel's axis over that of others at rest below which it is dead, and the least such
+# noise [counts]: less may not show in whole numbers. Parts of a recording that are looked at one by
+# one, and their least rows; noise at rest is that of the quietest, which a third of taxels exceed.
+DEAD, QUIET, PARTS, PART_ROWS, LIVELY = 0.05, 0.5, 10, 20, 0.65
 
 
 def taxels(presses: Presses) -> Iterator[Testimony]:
@@ -292,14 +340,15 @@ def taxels(presses: Presses) -> Iterator[Testimony]:
 
 
 def _dead(name: str, values: Floats) -> Iterator[Testimony]:
-    noise = np.diff(values, axis=0).std(axis=0)
-    usual, axes = float(np.median(noise)), values.shape[2]
+    parts = [part for part in np.array_split(values, PARTS) if len(part) >= PART_ROWS] or [values]
+    noise = np.array([np.diff(part, axis=0).std(axis=0) for part in parts])
+    usual = np.quantile(noise.min(axis=0), LIVELY, axis=0)  # (axes,)
+    known = np.flatnonzero(usual > QUIET)
+    doubt = DEAD * usual[known] / np.maximum(noise[..., known], 1e-9)
 
     def text(k: int) -> str:
-        taxel, axis = divmod(k, axes)
-        return f"taxel {taxel}, axis {axis} always has about {values[0, taxel, axis]:.6g}"
+        part, taxel, axis = np.unravel_index(k, doubt.shape)
+        always = f"always has about {parts[part][0, taxel, known[axis]]:.6g}"
+        return f"taxel {taxel}, axis {known[axis]} {always} in part {part + 1} of {len(parts)}"
 
-    if usual > QUIET:
-        yield from most(
-            DEAD * usual / np.maximum(noise.ravel(), 1e-9), "dead-taxel", f"streams/{name}", text
-        )
+    yield from most(doubt.ravel(), "dead-taxel", f"streams/{name}", text)

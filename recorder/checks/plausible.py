@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.checks.pictures import pictures, taxels
-from recorder.checks.presses import ASIDE, BACK, DOWN, Phase, Presses
+from recorder.checks.presses import ASIDE, BACK, DEEP, DOWN, Phase, Presses
 from recorder.checks.testimony import Testimony, most
 from recorder.findings import Finding
 from recorder.session.align import NS, quaternion
@@ -30,14 +30,16 @@ Witness = Callable[[Presses], Iterator[Testimony]]
 def statements(session: Session, *, images: bool = True) -> Iterator[Testimony]:
     """Yield the testimonies of all witnesses, doubtful or not; without `images` none is decoded."""
     presses = Presses(session)
-    for witness in WITNESSES:
-        if images or witness is not pictures:
-            with np.errstate(all="ignore"):
-                yield from witness(presses)
+    for witness in (*WITNESSES, *(OF_IMAGES if images else ())):
+        with np.errstate(all="ignore"):
+            yield from witness(presses)
 
 
 def doubts(session: Session, *, images: bool = True) -> Iterator[Finding]:
-    """Yield a warning of each witness that has a reason for one; as `statements`."""
+    """Yield the warnings of a session, and faults of pictures that no reader decodes.
+
+    Without `images` no picture is looked at.
+    """
     return (one.finding for one in statements(session, images=images) if one.doubtful)
 
 
@@ -65,9 +67,9 @@ UNITS = {
     "newtons that were converted from pounds (4.45)": 4.448,
     "newtons that were converted from kilograms (9.81)": 9.807,
 }
-# Least depth of presses whose force is compared with it [m], their least number, and how well force
-# must rise with depth (correlation).
-DEEP, SEVERAL, RISES = 0.25e-3, 5, 0.4
+# Least number of presses whose force is compared with the depth, and how well it must rise with it
+# (correlation).
+SEVERAL, RISES = 5, 0.4
 # How well side forces must follow the shear, rotated (1: exactly); directions that are needed; and
 # force in noise.
 FOLLOWS, SPREAD = 0.5, 0.15
@@ -84,24 +86,26 @@ def impossible(presses: Presses) -> Iterator[Testimony]:
     """Values that no gauge of this rating sends."""
     if not len(presses.values):
         return
-    limits = (presses.session.attrs.get("bench") or {}).get("limits") or {}
-    most = np.repeat(IMPOSSIBLE, 3)
+    limits = presses.setting("bench", "limits")
+    limit = np.repeat(IMPOSSIBLE, 3)
     for key, part, si in (
         ("force_rating_n", slice(0, 3), 1.0),
         ("torque_rating_n_mm", slice(3, 6), 1e-3),
     ):
-        if isinstance(limits.get(key), list) and len(limits[key]) == 3:
-            most[part] = OVER_RATING * si * np.asarray(limits[key], float)
+        rated = limits.get(key)
+        rated = rated if isinstance(rated, list) and len(rated) == 3 else [0]
+        if all(isinstance(one, int | float) and one > 0 for one in rated):
+            limit[part] = OVER_RATING * si * np.asarray(rated, float)
     axes, worst = list(presses.measured), (0.0, 0, 0)
     for first in range(0, len(presses.values), BLOCK):
-        sizes = np.nan_to_num(np.abs(presses.values[first : first + BLOCK, axes]) / most[axes])
+        sizes = np.nan_to_num(np.abs(presses.values[first : first + BLOCK, axes]) / limit[axes])
         row, k = divmod(int(sizes.argmax()), len(axes))
         worst = max(worst, (float(sizes[row, k]), first + row, axes[k]))
     doubt, row, column = worst
     unit = "N" if column < 3 else "N m"
     message = (
         f"{AXES[column]} is {presses.values[row, column]:.4g} {unit} in row {row}, a gauge sends "
-        f"less than {most[column]:.4g} {unit}: check the unit, or the device's reading"
+        f"less than {limit[column]:.4g} {unit}: check the unit, or the device's reading"
     )
     yield Testimony(doubt, Finding("impossible", _where(presses), message))
 
@@ -123,7 +127,9 @@ def marked(presses: Presses) -> Iterator[Testimony]:
 
 def _peak(presses: Presses) -> float:
     """Return the median over presses of the largest force [N]."""
-    tops = [np.nanmax(np.abs(one.wrench[:, :3])) for one in presses.of(DOWN)]
+    axes = [axis for axis in presses.measured if axis < 3]
+    sizes = [np.abs(one.wrench[:, axes]) for one in presses.of(DOWN)]
+    tops = [float(size.max()) for size in sizes if size.size and np.isfinite(size).all()]
     return float(np.median(tops)) if tops else 0.0
 
 
@@ -148,7 +154,8 @@ def clear_force(presses: Presses) -> Iterator[Testimony]:
         opens = np.concatenate([[times[0]], ends + round(RECOVERED / NS)])
         for number, (begin, end) in enumerate(zip(opens, [*starts, times[-1]], strict=True)):
             part = round(CLEAR_PART / NS)
-            for at in range(int(begin), int(end) - part, part):
+            inside = times[slice(*np.searchsorted(times, (begin, end - part)))]
+            for at in (int(begin) + part * np.unique((inside - int(begin)) // part)).tolist():
                 low, high = np.searchsorted(times, (at, at + part))
                 near = slice(*np.searchsorted(moments, (at, at + part)))
                 if (
@@ -198,7 +205,7 @@ def pulls(presses: Presses) -> Iterator[Testimony]:
 def scale(presses: Presses) -> Iterator[Testimony]:
     """Forces of another size than those expected of the skin, or than other presses have."""
     tops = _deepest(presses)
-    expected = presses.session.attrs.get("expected_force") or {}
+    expected = presses.setting("expected_force")
     depths, forces = (np.asarray(expected.get(name) or [], float) for name in ("depths", "forces"))
     doubt, factors = [], []
     for depth, force, _one in tops:
@@ -262,14 +269,16 @@ def force_over_depth(presses: Presses) -> Iterator[Testimony]:
     """Compression that does not rise with the depth."""
     found = []
     for one in presses.of(DOWN):
-        inside = one.depth > 0
+        inside = (one.depth > 0) & np.isfinite(one.stored[:, 2])
         if presses.planned("depth", one.target) < DEEP or inside.sum() < 10 or not one.whole:
             continue
-        force = one.wrench[inside, 2]
-        if 2 in presses.measured and np.ptp(force) > CLEAR_NOISE * presses.sigma[2]:
+        force = one.stored[inside, 2]
+        ends = (np.median(part) for part in (force[: len(force) // 4], force[-len(force) // 4 :]))
+        if (
+            2 in presses.measured
+            and abs(np.subtract(*ends)) > CLEAR_NOISE * presses.sigma[2] + PULL
+        ):
             found.append((float(np.corrcoef(one.depth[inside], -force)[0, 1]), one))
-        elif 2 in presses.measured:
-            found.append((0.0, one))
     if len(found) < SEVERAL:
         return
     median = float(np.median([value for value, _one in found]))
@@ -289,7 +298,7 @@ def shear_follows(presses: Presses) -> Iterator[Testimony]:
     for one in presses.of(ASIDE):
         if len(one.place) < 3 or not one.whole:
             continue
-        way, force = one.place[-1] - one.place[0], one.wrench[-3:].mean(0) - one.wrench[:3].mean(0)
+        way, force = one.place[-1] - one.place[0], one.stored[-3:].mean(0) - one.stored[:3].mean(0)
         if np.hypot(*force[:2]) > least and np.hypot(*way[:2]) > 1e-4:
             moved.append(complex(*way[:2]) / np.hypot(*way[:2]))
             felt.append(complex(*force[:2]) / np.hypot(*force[:2]))
@@ -317,7 +326,8 @@ def levers(presses: Presses) -> Iterator[Testimony]:
     doubt, found = [], []
     by_target: dict[int, list[Floats]] = {}
     for one in presses.of(DOWN, ASIDE, BACK):
-        some = one.wrench[np.linalg.norm(one.wrench[:, :3], axis=1) > LOADED]
+        some = one.wrench[np.isfinite(one.wrench).all(axis=1)]
+        some = some[np.linalg.norm(some[:, :3], axis=1) > LOADED]
         by_target.setdefault(one.target, []).append(some[:: max(1, len(some) // 50)])
     for target, parts in by_target.items():
         wrench = np.concatenate(parts)
@@ -355,12 +365,12 @@ def levers(presses: Presses) -> Iterator[Testimony]:
 # Largest speed over the planned one; without a plan [m/s]; turning [rad/s]; over this time [s].
 FASTER, FAST, TURNING, OVER = 4.0, 2.0, 6.0, 0.1
 # Largest distance of an arm from its base [m], turn of a pose [rad], and jump to the next one [m]
-# beside 10 times the speed that a hundredth of all steps exceeds.
-REACH, TURN, JUMP, JUMPY = 4.0, 7.0, 0.5e-3, 10.0
+# beside 3 times the speed that a tenth of the steps of a moving arm exceeds; it moves above [m/s].
+REACH, TURN, JUMP, JUMPY, MOVING = 4.0, 7.0, 0.5e-3, 3.0, 1e-3
 # Distance of the reached place from the planned one [m], and over the way to it.
 AWAY, AWAY_OF_WAY = 0.3e-3, 0.05
-# Last samples of a phase whose median is its end, as reported positions jitter.
-ENDING = 5
+# Time at the end of a phase over which its place is the median, as reported positions jitter [s].
+ENDING = 0.01
 # Way that a phase plans at least, and the part of it that a frozen pose does not go [m].
 WAY, STANDS = 0.2e-3, 0.2
 
@@ -370,7 +380,7 @@ def speeds(presses: Presses) -> Iterator[Testimony]:
     pose, session = presses.pose, presses.session
     if pose is None:
         return
-    arm = (session.attrs.get("bench") or {}).get("arm") or {}
+    arm = presses.setting("bench", "arm")
     planned = [
         float(arm[key]) * 1e-3
         for key in ("speed_mm_s", "travel_speed_mm_s")
@@ -405,7 +415,9 @@ def speeds(presses: Presses) -> Iterator[Testimony]:
         )
         step = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
         took = np.maximum(np.diff(seconds), 1 / pose.rate_hz)
-        jump = step - JUMPY * float(np.quantile(step / took, 0.99)) * took
+        moving = (step / took)[step > MOVING * took]
+        usual = float(np.quantile(moving, 0.9)) if len(moving) > 2 else 0.0
+        jump = step - JUMPY * usual * took
         doubt.append(float(jump.max() / JUMP))
         found.append((f"a jump of {1e3 * jump.max():.3g} mm", first + 1 + int(jump.argmax())))
         lasts = np.maximum(seconds[apart:] - seconds[:-apart], OVER / 2)
@@ -431,7 +443,7 @@ def places(presses: Presses) -> Iterator[Testimony]:
     """Presses that end away from their planned place, or poses that stand while the tip moves."""
     if presses.pose is None:
         return
-    doubt, found = [], []
+    doubt, found, ending = [], [], max(1, round(ENDING * presses.pose.rate_hz))
     last = {
         one.target: one for one in presses.phases if one.code in (DOWN, ASIDE) and len(one.place)
     }
@@ -446,8 +458,9 @@ def places(presses: Presses) -> Iterator[Testimony]:
             found.append(
                 (one, f"the pose goes {1e3 * gone:.3g} mm down, of {1e3 * depth:.3g} mm and more")
             )
-        if one is last[one.target] and np.isfinite(goal).all():
-            away = float(np.linalg.norm(np.median(one.place[-ENDING:], axis=0) - goal))
+        sheared = presses.planned("direction", one.target) >= 0
+        if one is last[one.target] and np.isfinite(goal).all() and (one.code == ASIDE) == sheared:
+            away = float(np.linalg.norm(np.median(one.place[-ending:], axis=0) - goal))
             doubt.append(away / (AWAY + AWAY_OF_WAY * float(np.linalg.norm(way))))
             found.append((one, f"the pose ends {1e3 * away:.3g} mm from the planned place"))
 
@@ -469,6 +482,6 @@ WITNESSES: tuple[Witness, ...] = (
     levers,
     speeds,
     places,
-    pictures,
     taxels,
 )
+OF_IMAGES: tuple[Witness, ...] = (pictures,)

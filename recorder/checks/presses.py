@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,10 @@ Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 DOWN, ASIDE, BACK, UP = range(len(PHASES))
+# Rows at the beginning of a gauge's stream that tell its noise.
+NOISE_ROWS = 20_000
+# Least depth of a press that is more than a touch [m].
+DEEP = 0.25e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,6 +37,7 @@ class Phase:
     whole: bool
     """True if it went on to its end."""
     run: int
+    """Run of the session."""
     start: int
     """When it began [ns]."""
     end: int
@@ -54,7 +60,7 @@ class Phase:
 
 
 class Presses:
-    """The presses of a session; an empty list without a gauge or phases."""
+    """Streams of a session that its presses are in."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
@@ -91,27 +97,30 @@ class Presses:
 
     @cached_property
     def sigma(self) -> Floats:
-        """Noise of a sample of each axis (6,) [N, N m], by the references."""
-        reference = self.session.reference
-        if "wrench_std" not in reference or not len(reference["wrench_std"]):
-            return np.zeros(6)
-        noise = np.asarray(reference["wrench_std"], np.float64)
-        return np.nan_to_num(np.nanmedian(noise, axis=0)) if np.isfinite(noise).any() else noise[0]
+        """Noise of a sample of each axis (6,) [N, N m], by the median change between two."""
+        change = np.abs(np.diff(self.values[:NOISE_ROWS], axis=0))
+        sigma = np.zeros(len(AXES))
+        for axis in self.measured:
+            known = change[np.isfinite(change[:, axis]), axis]
+            # The median of |a - b| of normal noise is 0.954 of its standard deviation.
+            sigma[axis] = float(np.median(known)) / 0.954 if known.size else 0.0
+        return sigma
 
     def offset(self, run: int, target: int, t_ns: int) -> Floats:
-        """Return the reference (6,) of a target's point in a run, the latest before a time."""
+        """Return the latest reference (6,) of a target's point before a time in a run, or NaN."""
         reference, targets = self.session.reference, self.session.targets
         if "point" not in targets or not len(reference["point"]) or "wrench" not in reference:
-            return np.zeros(6)
+            return np.full(6, np.nan)
         point = np.asarray(targets["point"])[target]
         of_run = np.flatnonzero(np.asarray(reference["run"]) == run)
         same = of_run[np.asarray(reference["point"])[of_run] == point]
         rows = same if same.size else of_run
         if not rows.size:
-            return np.zeros(6)
+            return np.full(6, np.nan)
+        rows = rows[np.argsort(np.asarray(reference["t_ns"])[rows], kind="stable")]
         before = rows[np.asarray(reference["t_ns"])[rows] <= t_ns]
         row = before[-1] if before.size else rows[0]
-        return np.asarray(np.nan_to_num(np.asarray(reference["wrench"], np.float64)[row]))
+        return np.array(reference["wrench"][row], np.float64)
 
     def places(self, run: int) -> tuple[Times, Floats]:
         """Return times (m,) [ns] and places (m, 3) [m] of the tip in the contact frame."""
@@ -124,7 +133,7 @@ class Presses:
 
     @cached_property
     def phases(self) -> list[Phase]:
-        """Phases in the order of their segments."""
+        """Phases in the order of their segments; none without a gauge."""
         return list(self._phases())
 
     def _phases(self) -> Iterator[Phase]:
@@ -135,6 +144,8 @@ class Presses:
         runs: dict[int, tuple[Times, Times, Floats]] = {}
         for row in range(len(segments["target"])):
             run, target = int(segments["run"][row]), int(segments["target"][row])
+            if not 0 <= target < len(self.session.targets.get("point", ())):
+                continue  # a fault of the segments, or a session without targets
             if run not in runs:
                 runs[run] = (
                     force.t_ns[self.session.rows_of_run(force.name, run)],
@@ -166,6 +177,15 @@ class Presses:
     def of(self, *codes: int) -> list[Phase]:
         """Return the phases of these codes that have samples."""
         return [one for one in self.phases if one.code in codes and len(one.stored)]
+
+    def setting(self, *keys: str) -> dict[str, Any]:
+        """Return a mapping of the session's attributes, such as that of `bench`, `arm`, or none."""
+        entry: Any = self.session.attrs
+        for key in keys:
+            entry = entry.get(key)
+            if not isinstance(entry, dict):
+                return {}
+        return dict(entry)
 
     def planned(self, name: str, target: int) -> float:
         """Return a number of a target's plan, such as `depth` [m]; NaN if it has none."""

@@ -15,14 +15,14 @@ class Testimony:
     """The most doubtful place that a witness has seen."""
 
     doubt: float
-    """Value seen over the threshold; NaN if it is no number."""
+    """Value seen over the threshold; NaN if it cannot be told."""
     finding: Finding
     """Words for a value above the threshold."""
 
     @property
     def doubtful(self) -> bool:
         """True above the threshold."""
-        return not self.doubt <= 1.0
+        return self.doubt > 1.0
 
 
 def most(
@@ -35,7 +35,7 @@ def most(
     some = np.asarray(doubt, np.float64)
     if not some.size:
         return
-    worst = int(np.argmax(np.where(np.isnan(some), np.inf, some)))
-    count = int((~(some <= 1.0)).sum())
+    worst = int(np.argmax(np.nan_to_num(some, nan=-np.inf)))
+    count = int((some > 1.0).sum())
     more = f" (and {count - 1} more like it)" if count > 1 else ""
     yield Testimony(float(some[worst]), Finding(code, where, text(worst) + more))

@@ -100,8 +100,8 @@ def find_no_contact(signal: Signal, recording: str, seen: Signal | None = None) 
 
     With a force it is the first still span of the least pressing force that lasts. A recording that
     begins with more is free at its beginning if images or taxels, `seen`, are alike in both, or if
-    that force lasts far longer or alone comes back; else the least one must come back. With images
-    or taxels alone it is the beginning, if the recording returns to it.
+    that force comes back and lasts far longer, or the least one does not; else that must come back.
+    With images or taxels alone it is the beginning, if the recording returns to it.
 
     Raises:
         MissingAnswer: Nothing tells which of two spans is free of contact.
@@ -152,8 +152,8 @@ def _of_force(
     order = np.sort(pressing)
     last = np.searchsorted(order, mean + near, side="right")
     lasts = last - np.searchsorted(order, mean - near) >= min(_LASTS * length, len(pressing) // 2)
-    lasting = lasts & (spread <= 2.0 * near) if (lasts & (spread <= 2.0 * near)).any() else lasts
-    lasting = lasting if lasting.any() else np.ones(len(mean), np.bool_)
+    still = lasts & (spread <= 2.0 * near)
+    lasting = next((each for each in (still, lasts) if each.any()), np.ones(len(mean), np.bool_))
     # Of spans that are about as free of force the first is the best: gel creeps after contact.
     least = float(score[lasting].min()) + near
     first = int(np.flatnonzero(lasting & (score <= least))[0])
@@ -166,7 +166,8 @@ def _of_force(
     if not later:
         return free
     at_begin, at_level = (_stays(mean, each, near, length) for each in (begins, level))
-    if sum(at_begin) > _LONGER * sum(at_level) or len(at_begin) > 1 >= len(at_level):
+    longer = sum(at_begin) > _LONGER * sum(at_level)
+    if len(at_begin) > 1 and (longer or len(at_level) == 1):
         return begin
     if len(at_level) > 1:
         return free
@@ -190,6 +191,9 @@ def _alike(seen: Signal, one: Span, other: Span) -> bool:
         return False
     rest, there = (each.mean(axis=0) for each in rows)
     largest = float(np.abs(seen.rows - rest).mean(axis=1).max())
+    noise = float(np.abs(rows[0] - rest).mean(axis=1).max())
+    if largest <= _CLEAR * noise:
+        return False  # they show no contact at all
     return float(np.abs(there - rest).mean()) < _SEEN_ALIKE * largest
 
 

@@ -200,7 +200,7 @@ def _on_one_clock(
         return moved, None, [f"{take.name}: lag of {answers.lag:+.3f} s by --lag"]
     if sensed is None or force is None:
         raise MissingAnswer("lag", f"{take.name}: the lag between its files is unknown")
-    pressed = force.change(find_no_contact(force, take.name))
+    pressed = force.change(_rest(force))
     lag = find_lag(sensed.change(_rest(sensed)), pressed, take.name)
     if lag.low <= 0 <= lag.high:
         return take, lag, [f"{take.name}: lag {lag}: its files start together, to within that"]

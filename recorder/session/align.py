@@ -301,7 +301,8 @@ def source(stream: Columns, rows: slice, losses: Losses) -> Source:
     )
 
 
-# Forces and torques of a gauge above which a sample is no measurement [N, N m].
+# Size of a force [N] or torque [N m] above which a sample is no measurement: gauges for sensors of
+# touch are rated for up to some 1,000 N.
 NO_FORCE = 1e5
 
 
@@ -319,7 +320,8 @@ def bad_samples(stream: Columns, rows: slice, values: Array | None) -> Bools:
             flat = flat[:, np.isin(AXES, axes)]
         with np.errstate(invalid="ignore"):
             bad |= ~np.isfinite(flat).all(axis=1)
-            bad |= (stream.traits.kind == "force") & (np.abs(flat) > NO_FORCE).any(axis=1)
+            if stream.traits.kind == "force":
+                bad |= (np.abs(flat) > NO_FORCE).any(axis=1)
     if stream.attrs.get("untrusted") and "status" in stream.names:
         bad |= (stream.array("status")[rows].astype(np.int64) & int(stream.attrs["untrusted"])) != 0
     return bad

@@ -441,10 +441,13 @@ class Collector:
         try:
             contact_sheet(path, picture)
             print(f"contact sheet: {picture}")
-            for doubt in doubts(session, images=False):
-                print(paint(str(doubt), "warning"))
         except (SessionError, OSError) as error:
             logger.warning("no contact sheet: %s", error)
+        try:
+            for doubt in doubts(session, images=False):
+                print(paint(str(doubt), doubt.level))
+        except (SessionError, OSError) as error:
+            logger.warning("no warnings: %s", error)
 
 
 def _expected(bench: Bench, request: CollectRequest) -> dict[str, Any]:
