@@ -15,8 +15,8 @@ from recorder.session.reader import Session
 
 Edit = Callable[[Columns], Any]
 ALL = ("camera", "force", "pose", "taxels")
-# Six presses, for witnesses that need several.
-LONG = 10.0
+# Five presses, for witnesses that need several.
+LONG = 8.4
 
 
 def edited(path: Path, stream: str, edit: Edit, *, seconds: float = LONG, **more: Any) -> Path:
@@ -53,7 +53,7 @@ def part(edit: Edit) -> Edit:
     def some(rows: Columns) -> Any:
         value = rows["value"].copy()
         count = len(value)
-        inside = slice(int(0.36 * count), int(0.41 * count))
+        inside = slice(int(3.6 / LONG * count), int(4.1 / LONG * count))
         value[inside] = edit({"value": value})[inside]
         return value
 
@@ -137,7 +137,7 @@ def redrawn(change: Callable[[Any], Any]) -> Edit:
 def some_of(change: Callable[[Any], Any]) -> Callable[[Any], Any]:
     def edit(images: Any) -> Any:
         images = images.copy()
-        images[210:250] = change(images)[210:250]
+        images[292:388] = change(images)[292:388]  # from one release to the next
         return images
 
     return edit
@@ -163,7 +163,7 @@ def test_pictures_that_cannot_be_right_are_named(
     tmp_path: Path, code: str, change: Callable[[Any], Any]
 ) -> None:
     names = ("camera", "force", "pose")
-    shape = (240, 320)
+    shape = (128, 160)
     found = warned(edited(tmp_path / "s.zarr", "camera", redrawn(change), names=names, shape=shape))
     assert found[code] == "streams/camera", found
 
