@@ -105,9 +105,11 @@ def test_values_of_frames_are_those_of_their_stream_at_the_capture(mixed: Mixed)
             assert found == held
             continue
         value = stream.array("value")
-        offset = 0.25 * int(name.partition("_")[2] or 1)  # of its own reference
+        number = int(name.partition("_")[2] or 1)
+        # Of its own reference; that of the first gauge has no torque.
+        offset = np.repeat([0.25 * number, 0.25 * number * (number > 1)], 3)
         if stream.traits.align == "mean" and signal is None:  # no exposure: at the tick
-            found, offset = found + offset, 0.0
+            found, offset = found + offset, np.zeros(6)
         if stream.traits.align == "mean" and signal is not None:
             exposure = 10_000_000 if signal == "camera" else round(1e9 / 60)
             lit = (stream.t_ns >= capture - exposure) & (stream.t_ns <= capture)
