@@ -12,7 +12,14 @@ from benchmarks.independent.mesh import Fine, layer_grid
 from benchmarks.independent.profile import punch
 from benchmarks.independent.profile import sphere as ball
 from sim import Body, Effects, Friction, Layer, Motion, Result, Scene, SceneError, press, simulate
-from sim.error_estimate import AT_RIM, PER_WALL, fineness_of, wall_errors, with_estimate
+from sim.error_estimate import (
+    AT_RIM,
+    PER_WALL,
+    fineness_of,
+    further_errors,
+    wall_errors,
+    with_estimate,
+)
 from sim.fem import Fem, Grading, Precision
 from sim.fem.mesh import SHARE_LEAST, build_mesh
 from sim.indenters import named as catalogue
@@ -254,10 +261,12 @@ def test_round_square_and_domed_bodies_are_solved_side_by_side_as_alone(
 def test_a_contact_at_the_rim_has_a_wider_error() -> None:
     result = simulate(Scene(BALL, press((0.5 * MM,), at=(5.5 * MM, 0.0)), DISC), COARSE)
     within = {name: value for name, value in result.record.items() if name not in ("rim", "error")}
-    plainly = with_estimate(replace(result, record=within)).record["error"]["force"]
-    assert result.record["error"]["force"][-1] == pytest.approx(
-        np.hypot(plainly[-1], AT_RIM / fineness_of(result)[-1]), rel=1e-3
-    )
+    plain = with_estimate(replace(result, record=within))
+    error, without = plain.record["error"]["force"][-1], further_errors(plain)[-1]
+    # The parts that a finer mesh may not reduce are added, then squared as one.
+    further = without + AT_RIM / fineness_of(result)[-1]
+    expected = np.sqrt(error**2 - without**2 + further**2)
+    assert result.record["error"]["force"][-1] == pytest.approx(expected, rel=1e-3)
     assert any("rim" in warning for warning in result.record["warnings"])
 
 
@@ -275,7 +284,7 @@ def test_a_wall_that_bulges_a_little_into_an_indenter_on_top_says_how_much_it_ma
     scene = Scene(catalogue("random"), over, DISC, Effects(friction=Friction(0.5)))
     result = simulate(scene, Fem(fineness=0.2))
     shares = np.array(result.record["wall_shares"])
-    assert 0 < shares.max() < 0.05
+    assert 0 < shares.max() < 0.1
     assert wall_errors(result)[result.record["wall"]] == pytest.approx(PER_WALL * shares)
 
 
