@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from recorder.checks.plausible import doubts
 from recorder.errors import SessionError
 from recorder.findings import Finding
-from recorder.session.align import NS
+from recorder.session.align import NS, flat, measured
 from recorder.session.columns import Stream
 from recorder.session.loss import (
     ARRIVAL,
@@ -32,7 +32,6 @@ from recorder.session.states import READING, in_stalls, stalls, states
 from recorder.session.uncertainty import uncalibrated
 from recorder.spec import (
     ARCHIVE_FORMAT,
-    AXES,
     OUTCOMES,
     PHASES,
     SEGMENTS,
@@ -360,12 +359,13 @@ def check_stream(
         if stream.traits.defaults.changes and not still and READING not in stream.small:
             images = None if contents is None else contents[: len(stream)][rows]
             # Two NaN differ, so that axes that are not measured would hide a frozen gauge.
-            same = images if images is not None else _measured(stream, "value", columns["value"])
+            same = images if images is not None else measured(stream, columns["value"])
             yield from _check_frozen(stream_path, first, t_ns, same, stood)
     for name in stream.small:
         values = stream.array(name)
         if values.dtype.kind == "f" and name not in _NAN_IS_FINE:
-            missing = np.asarray(~np.isfinite(_measured(stream, name, values)).all(axis=1))
+            numbers = measured(stream, values) if name == "value" else flat(values)
+            missing = np.asarray(~np.isfinite(numbers).all(axis=1))
             if name == "value" and READING in stream.small:
                 # A reading that has not settled is kept, and is no value.
                 missing &= ~np.isfinite(stream.array(READING))[: len(missing)]
@@ -374,14 +374,6 @@ def check_stream(
                 yield Finding(
                     "nan", f"{stream_path}/{name}", f"{bad.size} rows, first row {bad[0]}"
                 )
-
-
-def _measured(stream: Stream, name: str, values: Array) -> Array:
-    """Return the numbers of each row (n, m) that the device measures."""
-    axes = stream.attrs.get("axes_measured")
-    if name != "value" or values.shape[1:] != (len(AXES),) or not isinstance(axes, list):
-        return _flat(values)
-    return values[:, [axis in axes for axis in AXES]]
 
 
 def _check_declared(session: Session) -> Iterator[Finding]:
@@ -527,8 +519,8 @@ def _check_frozen(
 ) -> Iterator[Finding]:
     if len(values) < FROZEN_SAMPLES:
         return
-    flat = _flat(values)
-    changed = np.flatnonzero((flat[1:] != flat[:-1]).any(axis=1)) + 1
+    rows = flat(values)
+    changed = np.flatnonzero((rows[1:] != rows[:-1]).any(axis=1)) + 1
     starts = np.concatenate([[0], changed])
     ends = np.concatenate([changed, [len(values)]]) - 1
     lasting = (t_ns[ends] - t_ns[starts]) * NS
@@ -568,7 +560,3 @@ def _check_cover(
     if early.size:
         message = f"row {of_run[early[0]]} starts {lead[early[0]]:.3f} s before {late[max(late)]}"
         yield Finding("segment-outside", "segments", f"{message} does, in run {run}")
-
-
-def _flat(values: Array) -> Array:
-    return values.reshape(len(values), int(np.prod(values.shape[1:])))

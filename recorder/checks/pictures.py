@@ -27,8 +27,8 @@ TURNED = 0.15
 # Difference of a picture from the middle of its neighbours over that of these, and over the noise.
 ODD, NOISY = 3.0, 8.0
 # Change from one picture to the next over those before and after it, and over the noise; how much
-# more while the force changes [N]; and rate of a camera that sees a fast press between two [Hz].
-JUMP, JUMP_NOISY, MORE, PUSHED, SLOW = 5.2, 8.0, 4.0, 0.1, 20.0
+# more while the force changes; and rate of a camera that sees a fast press between two [Hz].
+JUMP, JUMP_NOISY, MORE, SLOW = 5.2, 8.0, 4.0, 20.0
 # Delay of the pictures behind the force [s], how much better both agree with it (correlation), how
 # well at least, and longest delay that is looked for [s].
 DELAY, BETTER, AGREE, LONGEST = 0.35, 0.02, 0.5, 1.0
@@ -57,10 +57,7 @@ def pictures(presses: Presses) -> Iterator[Testimony]:
             begin = session.rows_of_run(name, run).start or 0
             looked.change[max(begin - 1, 0) : begin] = 0.0
             looked.odd[max(begin - 2, 0) : begin] = 0.0
-        if looked.broken:
-            (row, why), *more = looked.broken.items()
-            message = f"row {row}: {why}" + (f" (and {len(more)} more like it)" if more else "")
-            yield Testimony(np.inf, Finding("bad-image", f"streams/{name}", message))
+        yield from _broken(name, looked)
         yield from _dark(name, looked)
         yield from _turned(name, looked)
         if stream.rate_hz >= SLOW:
@@ -183,6 +180,12 @@ def _agreement(small: Floats, other: Floats | None) -> Floats:
     return np.asarray(flat @ one / np.maximum(sizes, 1e-9))
 
 
+def _broken(name: str, looked: Looked) -> Iterator[Testimony]:
+    """Pictures that cannot be decoded."""
+    rows = [f"row {row}: {why}" for row, why in looked.broken.items()]
+    yield from most([np.inf] * len(rows), "bad-image", f"streams/{name}", rows.__getitem__)
+
+
 def _dark(name: str, looked: Looked) -> Iterator[Testimony]:
     """Pictures without contrast: a light that is off, a cover, a cable."""
     contrast = looked.contrast
@@ -219,7 +222,7 @@ def _pushed(presses: Presses, name: str) -> Floats:
     """Return how much more than usual a picture may differ from the next (n - 1,)."""
     stream, force, session = presses.session.streams[name], presses.force, presses.session
     pushed = np.ones(max(len(stream) - 1, 0))
-    axes = [axis for axis in presses.measured if axis < 3]
+    axes = presses.forces
     for run in range(max(len(session.runs), 1)):
         if force is None or not axes:
             break
@@ -234,7 +237,7 @@ def _pushed(presses: Presses, name: str) -> Floats:
         apart = np.max(
             [np.abs(values[last, k] - values[np.minimum(first, last), k]) for k in axes], 0
         )
-        limit = PUSHED + 5.0 * float(presses.sigma[:3].max())
+        limit = presses.felt(0, 1, 2)
         pushed[rows.start : rows.stop - 1] = np.where(apart > limit, MORE, 1.0)
     return pushed
 
@@ -269,17 +272,19 @@ def _jumps(name: str, looked: Looked, pushed: Floats) -> Iterator[Testimony]:
 def _late(presses: Presses, name: str, looked: Looked) -> Iterator[Testimony]:
     """Pictures that leave the reference at other times than the force does."""
     force, stream, session = presses.force, presses.session.streams[name], presses.session
-    axes = [axis for axis in presses.measured if axis < 3]
+    axes = presses.forces
+    if force is None or not axes:
+        return
+    seen_at, felt_at = captured(stream) * NS, captured(force) * NS
     for run in range(max(len(session.runs), 1)):
         rows = session.rows_of_run(name, run)
         moved = looked.moved[rows]
-        if force is None or not axes or len(moved) < 30 or np.isnan(moved).any():
+        if len(moved) < 30 or np.isnan(moved).any():
             continue
         of_force = session.rows_of_run(force.name, run)
         if of_force.stop - of_force.start < 2:
             continue
-        times, moments = captured(stream)[rows] * NS, captured(force)[of_force] * NS
-        values = presses.values[of_force]
+        times, moments, values = seen_at[rows], felt_at[of_force], presses.values[of_force]
         size = np.sqrt(sum(values[:, axis] ** 2 for axis in axes))
         order = np.argsort(moments, kind="stable")
         moments, size = moments[order], size[order]
@@ -300,14 +305,14 @@ def _late(presses: Presses, name: str, looked: Looked) -> Iterator[Testimony]:
 def _still(presses: Presses, name: str, looked: Looked) -> Iterator[Testimony]:
     """Pictures that do not change while a press begins, as those of others do."""
     stream, noise = presses.session.streams[name], looked.noise
-    axes, found = [axis for axis in presses.measured if axis < 3], []
+    axes, found = presses.forces, []
     for one in presses.of(DOWN):
         rows = presses.session.rows_of_run(name, one.run)
         times, begin = stream.t_ns[rows], int(rows.start or 0)
         first = int(np.searchsorted(times, one.start))
         last = int(np.searchsorted(times, one.end + round(LATE / NS)))
         felt = float(np.nanmax(np.linalg.norm(one.wrench[:, :3], axis=1), initial=0.0))
-        touched = not axes or felt > PUSHED + 5.0 * float(presses.sigma[:3].max())
+        touched = not axes or felt > presses.felt(0, 1, 2)
         deep = not presses.planned("depth", one.target) < DEEP
         if one.whole and deep and touched and first < last < len(times) and noise > 0:
             both = smaller(stream, [begin + first, begin + last], {})

@@ -14,16 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.checks.pictures import pictures, taxels
-from recorder.checks.presses import ASIDE, BACK, DEEP, DOWN, Phase, Presses
+from recorder.checks.presses import ASIDE, BACK, DEEP, DOWN, NOISE, Phase, Presses
 from recorder.checks.testimony import Testimony, most
 from recorder.findings import Finding
-from recorder.session.align import NS, quaternion
+from recorder.session.align import NS, quaternion, untrusted_words
 from recorder.session.reader import Session
 from recorder.spec import AXES
 
 Floats = NDArray[np.float64]
-
-
 Witness = Callable[[Presses], Iterator[Testimony]]
 
 
@@ -52,10 +50,10 @@ BLOCK = 1 << 18
 # Time away from all presses after which a skin has recovered [s], part of it that is looked at at
 # once, and height of the tip [m].
 RECOVERED, CLEAR_PART, CLEAR_HEIGHT = 1.5, 0.25, 1e-3
-# Force without contact [N], over the largest in a press, and as a multiple of the noise.
-CLEAR_LEAST, CLEAR_OF_PEAK, CLEAR_NOISE = 0.3, 0.05, 5.0
-# Part of the depth from which a press pulls in no skin; pull that is no noise [N].
-PRESSED, PULL = 0.3, 0.1
+# Force without contact [N], and over the largest in a press.
+CLEAR_LEAST, CLEAR_OF_PEAK = 0.3, 0.05
+# Part of the depth from which a press pulls in no skin.
+PRESSED = 0.3
 # Largest factor of a force beside the expected interval, and beside other presses of its depth.
 SCALE, BESIDE = 3.0, 3.0
 # Known factors between units, by the one that was taken for a newton.
@@ -113,9 +111,8 @@ def impossible(presses: Presses) -> Iterator[Testimony]:
 def marked(presses: Presses) -> Iterator[Testimony]:
     """Samples that the device marks as untrusted."""
     for stream in presses.session.streams.values():
-        bits = int(stream.attrs.get("untrusted") or 0)
-        if bits and "status" in stream.small:
-            words = np.asarray(stream.array("status"), np.int64) & bits
+        words = untrusted_words(stream)
+        if words is not None:
             bad = np.flatnonzero(words)
             row, word = (int(bad[0]), int(words[bad[0]])) if bad.size else (0, 0)
             message = (
@@ -127,7 +124,7 @@ def marked(presses: Presses) -> Iterator[Testimony]:
 
 def _peak(presses: Presses) -> float:
     """Return the median over presses of the largest force [N]."""
-    axes = [axis for axis in presses.measured if axis < 3]
+    axes = presses.forces
     sizes = [np.abs(one.wrench[:, axes]) for one in presses.of(DOWN)]
     tops = [float(size.max()) for size in sizes if size.size and np.isfinite(size).all()]
     return float(np.median(tops)) if tops else 0.0
@@ -141,7 +138,7 @@ def clear_force(presses: Presses) -> Iterator[Testimony]:
     segments = session.segments
     doubt, found = [], []
     allowed = max(CLEAR_LEAST, CLEAR_OF_PEAK * _peak(presses))
-    limits = np.maximum(allowed, CLEAR_NOISE * presses.sigma[:3])
+    limits = np.maximum(allowed, NOISE * presses.sigma[:3])
     for run in range(max(len(session.runs), 1)):
         rows = session.rows_of_run(force.name, run)
         times, values = force.t_ns[rows], presses.values[rows]
@@ -166,7 +163,7 @@ def clear_force(presses: Presses) -> Iterator[Testimony]:
                     continue
                 target = int(segments["target"][order[min(number, len(order) - 1)]])
                 level = np.median(values[low:high], axis=0) - presses.offset(run, target, at)
-                axes = [axis for axis in presses.measured if axis < 3]
+                axes = presses.forces
                 size = np.abs(level[axes]) / limits[axes]
                 doubt.append(float(size.max()))
                 found.append((axes[int(size.argmax())], level, int(rows.start or 0) + int(low)))
@@ -185,7 +182,7 @@ def pulls(presses: Presses) -> Iterator[Testimony]:
     """Fz above 0 while the skin is pressed: its sign is wrong, or the axis is another."""
     if 2 not in presses.measured:
         return
-    limit, doubt, found = CLEAR_NOISE * presses.sigma[2] + PULL, [], []
+    limit, doubt, found = presses.felt(2), [], []
     for one in presses.of(DOWN, ASIDE, BACK):
         deep = one.depth > PRESSED * presses.planned("depth", one.target)
         if deep.sum() >= 3:
@@ -274,10 +271,7 @@ def force_over_depth(presses: Presses) -> Iterator[Testimony]:
             continue
         force = one.stored[inside, 2]
         ends = (np.median(part) for part in (force[: len(force) // 4], force[-len(force) // 4 :]))
-        if (
-            2 in presses.measured
-            and abs(np.subtract(*ends)) > CLEAR_NOISE * presses.sigma[2] + PULL
-        ):
+        if 2 in presses.measured and abs(np.subtract(*ends)) > presses.felt(2):
             found.append((float(np.corrcoef(one.depth[inside], -force)[0, 1]), one))
     if len(found) < SEVERAL:
         return
@@ -294,7 +288,7 @@ def shear_follows(presses: Presses) -> Iterator[Testimony]:
     moved, felt = [], []
     if not {0, 1} <= set(presses.measured):
         return
-    least = CLEAR_NOISE * presses.sigma[:2].max() + PULL
+    least = presses.felt(0, 1)
     for one in presses.of(ASIDE):
         if len(one.place) < 3 or not one.whole:
             continue
@@ -332,7 +326,7 @@ def levers(presses: Presses) -> Iterator[Testimony]:
     for target, parts in by_target.items():
         wrench = np.concatenate(parts)
         force, torque = wrench[:, :3], wrench[:, 3:]
-        noise = CLEAR_NOISE * float(np.linalg.norm(presses.sigma[3:]))
+        noise = NOISE * float(np.linalg.norm(presses.sigma[3:]))
         size = float(np.sqrt((torque**2).sum(axis=1).mean())) if len(wrench) else 0.0
         if len(wrench) < 10 or size <= 2 * noise:
             continue

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from recorder.session import align
 from recorder.session.columns import Stream
-from recorder.session.frames import axes_of, in_frame, surface_heights
+from recorder.session.frames import in_frame, surface_heights
 from recorder.session.reader import Session
 from recorder.spec import AXES, PHASES
 
@@ -22,6 +22,8 @@ Times = NDArray[np.int64]
 DOWN, ASIDE, BACK, UP = range(len(PHASES))
 # Rows at the beginning of a gauge's stream that tell its noise.
 NOISE_ROWS = 20_000
+# A force that is felt is larger than this multiple of a sample's noise and this force [N] together.
+NOISE, FELT = 5.0, 0.1
 # Least depth of a press that is more than a touch [m].
 DEEP = 0.25e-3
 
@@ -89,6 +91,11 @@ class Presses:
         names = None if self.force is None else self.force.attrs.get("axes_measured")
         return tuple(k for k, name in enumerate(AXES) if not names or name in names)
 
+    @property
+    def forces(self) -> list[int]:
+        """Columns of the forces that the gauge measures."""
+        return [axis for axis in self.measured if axis < 3]
+
     @cached_property
     def values(self) -> Floats:
         """All rows of the gauge (n, 6)."""
@@ -105,6 +112,10 @@ class Presses:
             # The median of |a - b| of normal noise is 0.954 of its standard deviation.
             sigma[axis] = float(np.median(known)) / 0.954 if known.size else 0.0
         return sigma
+
+    def felt(self, *axes: int) -> float:
+        """Return the least force on some axes [N] that is no noise of their gauge."""
+        return NOISE * float(self.sigma[list(axes)].max()) + FELT
 
     def offset(self, run: int, target: int, t_ns: int) -> Floats:
         """Return the latest reference (6,) of a target's point before a time in a run, or NaN."""
@@ -198,6 +209,4 @@ class Presses:
         planned = self.session.targets.get("planned")
         if planned is None or self.frame is None or target >= len(planned):
             return np.full(3, np.nan)
-        return np.asarray(
-            (np.asarray(planned[target]) - self.frame[:3]) @ axes_of(self.frame[3:]).T
-        )
+        return np.asarray(in_frame(self.frame, np.asarray(planned[target])[None])[0])

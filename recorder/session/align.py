@@ -8,6 +8,7 @@ outside the samples a value is NaN and invalid.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -314,17 +315,34 @@ def bad_samples(stream: Columns, rows: slice, values: Array | None) -> Bools:
     """
     bad = np.zeros(len(stream.t_ns[rows]), np.bool_)
     if values is not None and values.dtype.kind == "f":
-        flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
-        axes = stream.attrs.get("axes_measured")
-        if isinstance(axes, list) and flat.shape[1] == len(AXES):
-            flat = flat[:, np.isin(AXES, axes)]
+        numbers = measured(stream, values)
         with np.errstate(invalid="ignore"):
-            bad |= ~np.isfinite(flat).all(axis=1)
+            bad |= ~np.isfinite(numbers).all(axis=1)
             if stream.traits.kind == "force":
-                bad |= (np.abs(flat) > NO_FORCE).any(axis=1)
-    if stream.attrs.get("untrusted") and "status" in stream.names:
-        bad |= (stream.array("status")[rows].astype(np.int64) & int(stream.attrs["untrusted"])) != 0
-    return bad
+                bad |= (np.abs(numbers) > NO_FORCE).any(axis=1)
+    words = untrusted_words(stream)
+    return bad if words is None else bad | (words[rows] != 0)
+
+
+def untrusted_words(stream: Columns) -> NDArray[np.int64] | None:
+    """Return the bits of each status word (m,) that make a sample untrusted; None without any."""
+    bits = int(stream.attrs.get("untrusted") or 0)
+    if not bits or "status" not in stream.names:
+        return None
+    return np.asarray(stream.array("status"), np.int64) & bits
+
+
+def measured(stream: Columns, values: Array) -> Array:
+    """Return those of the values (n, ...) of each row that the device measures (n, m)."""
+    axes = stream.attrs.get("axes_measured")
+    if values.shape[1:] != (len(AXES),) or not isinstance(axes, list):
+        return flat(values)
+    return values[:, np.isin(AXES, axes)]
+
+
+def flat(values: Array) -> Array:
+    """Return the values (n, ...) of each row as one row of numbers (n, m)."""
+    return values.reshape(len(values), int(np.prod(values.shape[1:])))
 
 
 def has_device_times(stream: Columns) -> bool:
@@ -508,14 +526,15 @@ def _aligned(source: Source, method: str, capture: Times, exposure: float) -> Al
         start, stop = capture - round(exposure / NS), capture
         aligned = mean(source.times, source.values, start, stop, max_age=source.max_age)
         lost = source.losses.touch(start, stop)
-        bad = mean(source.times, source.bad[:, None], start, stop)
+        alike = partial(mean, start=start, stop=stop)
     else:
         interpolate = pose if source.is_pose else linear
         aligned = interpolate(source.times, source.values, capture, max_age=source.max_age)
         lost = source.losses.around(capture)
-        bad = linear(source.times, source.bad[:, None], capture)
-    valid = aligned.valid & ~lost & ~(bad.value[:, 0] > 0)
-    return AlignedStream(source.traits, aligned.value, None, aligned.age, valid)
+        alike = partial(linear, query=capture)
+    if source.bad.any():  # a value is bad if a bad sample has a part in it
+        lost = lost | (alike(source.times, source.bad[:, None]).value[:, 0] > 0)
+    return AlignedStream(source.traits, aligned.value, None, aligned.age, aligned.valid & ~lost)
 
 
 def _sampled(source: Source, picked: Picked, moments: Times) -> AlignedStream:
