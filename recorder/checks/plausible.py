@@ -17,7 +17,7 @@ from recorder.checks.pictures import pictures, taxels
 from recorder.checks.presses import ASIDE, BACK, DEEP, DOWN, NOISE, Phase, Presses
 from recorder.checks.testimony import Testimony, most
 from recorder.findings import Finding
-from recorder.session.align import NS, quaternion, untrusted_words
+from recorder.session.align import NS, largest, quaternion, untrusted_words
 from recorder.session.reader import Session
 from recorder.spec import AXES
 
@@ -43,8 +43,6 @@ def doubts(session: Session, *, images: bool = True) -> Iterator[Finding]:
 
 # The gauge.
 
-# Values of a gauge over its rating that no gauge sends; without a rating [N, N m].
-OVER_RATING, IMPOSSIBLE = 5.0, (1e4, 1e3)
 # Rows that are looked at at once.
 BLOCK = 1 << 18
 # Time away from all presses after which a skin has recovered [s], part of it that is looked at at
@@ -82,18 +80,9 @@ def _where(presses: Presses, column: str = "value") -> str:
 
 def impossible(presses: Presses) -> Iterator[Testimony]:
     """Values that no gauge of this rating sends."""
-    if not len(presses.values):
+    if presses.force is None or not len(presses.values):
         return
-    limits = presses.setting("bench", "limits")
-    limit = np.repeat(IMPOSSIBLE, 3)
-    for key, part, si in (
-        ("force_rating_n", slice(0, 3), 1.0),
-        ("torque_rating_n_mm", slice(3, 6), 1e-3),
-    ):
-        rated = limits.get(key)
-        rated = rated if isinstance(rated, list) and len(rated) == 3 else [0]
-        if all(isinstance(one, int | float) and one > 0 for one in rated):
-            limit[part] = OVER_RATING * si * np.asarray(rated, float)
+    limit = largest(presses.force)
     axes, worst = list(presses.measured), (0.0, 0, 0)
     for first in range(0, len(presses.values), BLOCK):
         sizes = np.nan_to_num(np.abs(presses.values[first : first + BLOCK, axes]) / limit[axes])

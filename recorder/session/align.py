@@ -302,16 +302,21 @@ def source(stream: Columns, rows: slice, losses: Losses) -> Source:
     )
 
 
-# Size of a force [N] or torque [N m] above which a sample is no measurement: gauges for sensors of
-# touch are rated for up to some 1,000 N.
-NO_FORCE = 1e5
+# Sizes of a wrench [N, N m] above which a sample is no measurement, where its stream has none of
+# its own: gauges for sensors of touch are rated for up to some 1,000 N.
+NO_WRENCH = (1e4, 1e4, 1e4, 1e3, 1e3, 1e3)
+
+
+def largest(stream: Columns) -> Floats:
+    """Return the sizes (6,) of a wrench [N, N m] that a sample of its gauge may have."""
+    return np.asarray(stream.attrs.get("largest") or NO_WRENCH, np.float64)
 
 
 def bad_samples(stream: Columns, rows: slice, values: Array | None) -> Bools:
     """Return True for samples that cannot be used (m,).
 
-    They are no number on an axis that is measured, no force, or have a bit of the stream's
-    attribute `untrusted` in their status word.
+    They are no number on an axis that is measured, larger than the stream's attribute `largest`
+    allows, or have a bit of its attribute `untrusted` in their status word.
     """
     bad = np.zeros(len(stream.t_ns[rows]), np.bool_)
     if values is not None and values.dtype.kind == "f":
@@ -319,7 +324,8 @@ def bad_samples(stream: Columns, rows: slice, values: Array | None) -> Bools:
         with np.errstate(invalid="ignore"):
             bad |= ~np.isfinite(numbers).all(axis=1)
             if stream.traits.kind == "force":
-                bad |= (np.abs(numbers) > NO_FORCE).any(axis=1)
+                limits = measured(stream, largest(stream)[None])
+                bad |= (np.abs(numbers) > limits).any(axis=1)
     words = untrusted_words(stream)
     return bad if words is None else bad | (words[rows] != 0)
 

@@ -199,6 +199,7 @@ _STREAM = {
     "bias": _numbers(BIAS_MAX, VALUES_MAX),
     "axes_measured": _texts,
     "untrusted": _whole(0, INT_MAX),
+    "largest": _numbers(BIAS_MAX, 6, 6),
     "latency_calibration": {"interval_s": _numbers(SECONDS_MAX, 2, 2)},
     "device": {"rate_hz": _number(0, RATE_MAX_HZ), "axes_measured": _texts},
     "clock_fit": _Entries(_FIT),

@@ -49,6 +49,7 @@ from rig.bench.guards import (
 )
 from rig.core.clock import ClockAnchor, SystemClock
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop
+from rig.core.guard import IMPOSSIBLE
 from rig.core.load import Load, busy, explained
 from rig.core.names import operator_name
 from rig.devices.arm import dashboard
@@ -395,7 +396,8 @@ class Collector:
             axes, untrusted = gauge.axes_measured, gauge.UNTRUSTED_MASK
             more = {} if len(axes) == len(AXES) else {"axes_measured": list(axes)}
             more |= {"untrusted": untrusted} if untrusted else {}
-            return {"bias": self._bias[name].tolist(), **more}
+            largest = [IMPOSSIBLE * rating for rating in self._bench.force_rating]
+            return {"bias": self._bias[name].tolist(), "largest": largest, **more}
         attrs = request.calibration.stream_attrs(name)
         cameras = [row.name for row in self._bench.of_kind("camera")]
         played = request.mock_sources and "camera" in request.mock_sources

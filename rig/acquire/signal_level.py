@@ -4,6 +4,7 @@ The level has two parts. The change since the last zero, in standard deviations 
 the first touch. The largest motion of a marker or deviation of a taxel grows with the press.
 """
 
+import itertools
 from collections import deque
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -20,6 +21,10 @@ _KEPT = 16
 _LEAST_NOISE = 0.01
 # Images are compared at a quarter of their size; motions are stated in pixels of the image.
 _REDUCED = 4
+# Images are compared with earlier ones by the means of squares of this side [px, reduced], which
+# fresh noise changes little. Two that differ by more than this factor of the noise, which is that
+# from one to the next at rest, or the median of the last ones, show a motion.
+_SQUARE, _SHOWN, _LAST = 4, 1.3, 3
 # The flow counts at the steepest fraction of the pixels, the edges of markers, for a plain area has
 # none of its own.
 # A small fraction of these may show more, since single pixels of a flow are often wrong.
@@ -39,6 +44,8 @@ class Level(NamedTuple):
     """Largest motion of a marker [px] or deviation of a taxel [counts]."""
     fresh: bool
     """True if the sample differs from the one before."""
+    moved: bool
+    """True if it differs by more than noise from the last one that did so."""
 
 
 def picture(jpeg: bytes) -> Floats:
@@ -104,6 +111,10 @@ class SignalLevel:
         self._flow: Any = None
         self._edges: Any = None
         self._moved: Any = None
+        self._shown: Floats | None = None
+        self._coarse: Floats | None = None
+        self._still = 0.0
+        self._steps: deque[float] = deque(maxlen=_LAST)
 
     def add(self, sample: Mapping[str, Any]) -> Level:
         """Return the level of a sample; before the first zero, without change and motion."""
@@ -114,10 +125,23 @@ class SignalLevel:
         fresh = not self._recent or not np.array_equal(found, self._recent[-1])
         if fresh:
             self._recent.append(found)
+        moved = self._differs(found)
         if self._rest is None:
-            return Level(0.0, 0.0, fresh)
+            return Level(0.0, 0.0, fresh, moved)
         change = (_difference(found, self._rest) - self._floor) / self._noise
-        return Level(change, self._motion(found, self._rest), fresh)
+        return Level(change, self._motion(found, self._rest), fresh, moved)
+
+    def _differs(self, found: Floats) -> bool:
+        """Return True if a reading differs by more than noise from the last one that did so."""
+        coarse = _coarse(found) if self._is_image else found
+        if self._coarse is not None:
+            self._steps.append(_rms(coarse - self._coarse))
+        self._coarse = coarse
+        noise = max(self._still, float(np.median(self._steps)) if self._steps else 0.0)
+        if self._shown is not None and _rms(coarse - self._shown) <= _SHOWN * noise:
+            return False
+        self._shown = coarse
+        return True
 
     def zero(self) -> None:
         """Take the last samples as those without contact."""
@@ -130,6 +154,9 @@ class SignalLevel:
         self._floor = float(np.mean(changes))
         spread = float(np.std(changes, ddof=1)) if len(changes) > 2 else 0.0
         self._noise = max(spread, _LEAST_NOISE * self._floor, 1e-6)
+        coarse = [_coarse(each) if self._is_image else each for each in kept]
+        steps = [_rms(after - before) for before, after in itertools.pairwise(coarse)]
+        self._still = float(np.median(steps)) if steps else 0.0
         if self._is_image:
             down, across = np.gradient(self._rest)
             steep = np.hypot(down, across)
@@ -171,6 +198,17 @@ def _residual(flow: Floats, before: Grey, after: Grey, edges: npt.NDArray[np.boo
         borderMode=cv2.BORDER_REPLICATE,
     )
     return float(np.abs(back.astype(np.float32) - before)[edges].mean())
+
+
+def _coarse(image: Floats) -> Floats:
+    """Return the means of the squares of an image."""
+    high, wide = (size // _SQUARE for size in image.shape)
+    parts = image[: high * _SQUARE, : wide * _SQUARE].reshape(high, _SQUARE, wide, _SQUARE)
+    return np.asarray(parts.mean(axis=(1, 3), dtype=np.float32))
+
+
+def _rms(difference: Floats) -> float:
+    return float(np.sqrt(np.square(difference).mean()))
 
 
 def _difference(found: Floats, rest: Floats) -> float:

@@ -107,7 +107,7 @@ class _StreamLoop:
             self._level = SignalLevel(is_image=signal.kind == "camera")
             path = folder / f"{name}.signal"
             self._signal = SharedLatest.attach(path, SIGNAL_LATEST, writable=True)
-        self._fresh_ns = 0
+        self._fresh_ns = self._moved_ns = 0
         self._zero: np.ndarray | None = None
         self._sweeper = Sweeper()
         self._stalls = Stalls(_READ_TIMEOUT)
@@ -182,8 +182,11 @@ class _StreamLoop:
         self._latest.write(tuple(guarded[name] for name in self._fields))
         if self._level is not None:
             level = self._level.add(sample)
-            self._fresh_ns = sample["t_ns"] if level.fresh else self._fresh_ns
-            self._signal.write((sample["t_ns"], self._fresh_ns, level.change, level.motion))
+            t_ns = sample["t_ns"]
+            self._fresh_ns = t_ns if level.fresh else self._fresh_ns
+            self._moved_ns = t_ns if level.moved else self._moved_ns
+            times = t_ns, self._fresh_ns, self._moved_ns
+            self._signal.write((*times, level.change, level.motion))
         self._last_ns = sample["t_ns"]
         self._samples += 1
         self._recent.append(sample["t_ns"])

@@ -38,6 +38,9 @@ BEYOND = 0.2e-3
 FRACTION = 0.5
 # Widest accepted interval of the surface [m], and its longest validity [h].
 SURFACE_WIDTH, SURFACE_HOURS = 50e-6, 24.0
+# Way in contact without a change of the signal that stops the arm [m], and the least number of
+# samples on it.
+UNSEEN_WAY, UNSEEN_SAMPLES = 0.25e-3, 3
 # Slowest press that a stiff contact asks for [m/s].
 SLOWEST = 0.2e-3
 # Stream of the arm's own wrench on a mock bench that is used without its gauge.
@@ -108,6 +111,10 @@ def guards_of(bench: Bench, folder: Path, *, contact: float = math.inf) -> dict[
         stand_ins.stale_signal,
         "px" if signal.kind == "camera" else "counts",
         contact,
+        # An approach has not found the surface yet.
+        max(UNSEEN_WAY, UNSEEN_SAMPLES * bench.arm.speed / signal.config.rate_hz)
+        if math.isinf(contact)
+        else math.inf,
     )
     for row in bench.of_kind("arm_wrench"):
         crash = CrashGuard(FRACTION * rating, bench.limits.stale_pose)

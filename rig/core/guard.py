@@ -6,7 +6,7 @@ The UR's own limits cannot protect the sensor: their tolerance is 25 N, a Nano17
 
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, Protocol, get_args
 
@@ -19,6 +19,8 @@ from rig.core.samples import FORCE_LATEST, POSE_LATEST
 from trajectories import dome_height
 
 Mode = Literal["guarded", "retreat", "travel"]
+# Returns how far the tip has gone in contact since a time [ns], in [m].
+Travelled = Callable[[int], float]
 # Kinds of violations from the most serious to the least; a stale force above the soft limit means a
 # lost sensor, not a finished press.
 Kind = Literal[
@@ -41,8 +43,15 @@ _SLOPE_WINDOW_NS = 12_000_000
 _SLOPE_SAMPLES = 4
 _SLOPE_SPAN_NS = 60_000_000
 
-# In retreat, the load counts as growing if it gains this fraction of the rating in `horizon`.
-_GROWTH = 0.02
+# In retreat, the load counts as growing if it gains this fraction of the rating in `horizon`, and
+# grows from each to the next of this number of records.
+_GROWTH, _GROWING = 0.02, 3
+# A force of this multiple of its rating is none: gauges saturate at 1 to 2 times theirs. One such
+# record is a fault of the line, two in a row are not.
+IMPOSSIBLE = 5.0
+
+# The tip is in contact this far below the surface [m], which is not flat; places that are kept.
+_SUNK, _PLACES = 0.1e-3, 2048
 
 # RTDE safety_status_bits: 5, 6, 7 emergency stops, 8 violation; 2 protective, 4 safeguard (a door,
 # a light curtain), 9 fault, 10 stopped by any of them.
@@ -164,17 +173,24 @@ def stale(
     )
 
 
+def at_rest(_since_ns: int) -> float:
+    """Return the way of a tip that does not move [m]."""
+    return 0.0
+
+
 class Guard(Protocol):
     """One reason to stop the arm, watched in a record that another process shares."""
 
     RECORD: ClassVar[np.dtype[Any]]
     """Dtype of the record."""
 
-    def check(self, now_ns: int, records: np.ndarray | None, mode: Mode) -> Violation | None:
+    def check(
+        self, now_ns: int, records: np.ndarray | None, mode: Mode, travelled: Travelled = at_rest
+    ) -> Violation | None:
         """Return the reason to stop at `now_ns`, in a motion of this mode, or None.
 
         `records` (n,) are all since the last check, oldest first; the newest again if none is new;
-        None before the first.
+        None before the first. `travelled` returns how far the tip has gone in contact since a time.
         """
 
 
@@ -192,6 +208,16 @@ class MotionGuard:
         to_contact = invert(contact_frame)
         # Done once: converting a rotation vector to a matrix would be most of the cost of a check.
         self._turn, self._shift = matrix_from_vector(to_contact[3:]), to_contact[:3]
+        self._touching: deque[tuple[int, list[float]]] = deque(maxlen=_PLACES)
+
+    def travelled(self, since_ns: int) -> float:
+        """Return how far the tip has gone in contact since a time [m]."""
+        first = None
+        for t_ns, place in reversed(self._touching):
+            if t_ns <= since_ns:
+                break
+            first = place
+        return 0.0 if first is None else math.dist(first, self._touching[-1][1])
 
     def check(self, now_ns: int, records: np.ndarray | None, mode: Mode) -> Violation | None:
         """Return the reason to stop now, or None; see `Guard`."""
@@ -199,16 +225,22 @@ class MotionGuard:
             return None if mode == "retreat" else _missing("stale_pose", "pose")
         safety = judge_safety(int(np.bitwise_or.reduce(records["safety_status"])))
         if safety is not None or mode == "retreat":
+            self._touching.clear()
             return safety
         newest_ns, limit = int(records["t_ns"][-1]), self._limits.stale_pose
         cause = "check the pose stream and its cable"
         late = stale("stale_pose", "pose", now_ns, newest_ns, limit, cause)
         if late is not None:
             return late
-        for point in records["value"][:, :3] @ self._turn.T + self._shift:
-            reason = _box_reason(self._limits, point)
+        places = records["value"][:, :3] @ self._turn.T + self._shift
+        for t_ns, place in zip(records["t_ns"].tolist(), places.tolist(), strict=True):
+            reason = _box_reason(self._limits, place)
             if reason is not None:
                 return Violation("box", reason)
+            if place[2] > dome_height(self._limits.dome_radius, *place[:2]) - _SUNK:
+                self._touching.clear()
+            elif not self._touching or t_ns > self._touching[-1][0]:
+                self._touching.append((t_ns, place))
         return None
 
 
@@ -217,7 +249,8 @@ class ForceGuard:
 
     Modes: "guarded" checks everything. "travel" does too; no contact is expected, so any force that
     trips is unexpected. "retreat" lets the arm leave even if the sensor fails: no soft limit, no
-    check of age, and the hard limit only while the load still grows, in two records at least.
+    check of age, and the hard limit only while the load still grows, in three records. A single
+    record of a size that no gauge sends is left out; the next one like it stops the arm.
     Reasons have the name of the sensor; empty: the bench has only one.
     """
 
@@ -228,8 +261,11 @@ class ForceGuard:
         self._prefix = f"{name}: " if name else ""
         self._measured = np.array([name in limits.axes_measured for name, _ in AXES])
         self._history: deque[tuple[int, list[float]]] = deque(maxlen=64)
+        self._impossible_ns: int | None = None
 
-    def check(self, now_ns: int, records: np.ndarray | None, mode: Mode) -> Violation | None:
+    def check(
+        self, now_ns: int, records: np.ndarray | None, mode: Mode, travelled: Travelled = at_rest
+    ) -> Violation | None:
         """Return the reason to stop now, or None; see `Guard`."""
         violation = self._check(now_ns, records, mode)
         if violation is None or not self._prefix:
@@ -240,27 +276,21 @@ class ForceGuard:
         if records is None:
             return None if mode == "retreat" else _missing("stale_force", "force")
         limits = self._limits
+        arrived_ns, cause = int(records["t_ns"][-1]), "check the F/T sensor and its cable"
+        late = stale("stale_force", "force", now_ns, arrived_ns, limits.stale_force, cause)
+        records = records[~self._single_impossible(records)]
         forces = np.where(self._measured, records["value"], 0.0)
         newest_ns = self._history[-1][0] if self._history else -1
         for t_ns, force in zip(records["t_ns"].tolist(), forces.tolist(), strict=True):
             if t_ns > newest_ns:
                 self._history.append((t_ns, force))
+        if mode == "retreat":
+            # A sensor lost under load must not keep the arm there, nor a few bad records.
+            return None if late is not None else self._growing()
+        if not len(records):
+            return late
         newest = forces[-1].tolist()
         ahead = self._predict() or newest
-        arrived_ns, cause = int(records["t_ns"][-1]), "check the F/T sensor and its cable"
-        late = stale("stale_force", "force", now_ns, arrived_ns, limits.stale_force, cause)
-        if mode == "retreat":
-            # A sensor lost under load must not keep the arm there, nor a single bad record.
-            if late is not None or len(self._history) < 2:
-                return None
-            before = self._loads(self._history[-2][1])
-            for k, (load, load_later) in enumerate(
-                zip(self._loads(newest), self._loads(ahead), strict=True)
-            ):
-                above = load > limits.hard_fraction and before[k] > limits.hard_fraction
-                if above and load_later > load + _GROWTH:
-                    return self._hard(k, newest)
-            return None
         # The force that is largest in size on each axis: a load between two looks counts.
         largest = forces[np.abs(forces).argmax(axis=0), np.arange(6)].tolist()
         loads, invalid = self._loads(largest), self._invalid(records, forces)
@@ -268,6 +298,28 @@ class ForceGuard:
             if invalid is None and load > limits.hard_fraction:
                 return self._hard(k, largest)
         return late or invalid or self._soft(loads, largest, newest, ahead)
+
+    def _single_impossible(self, records: np.ndarray) -> np.ndarray:
+        """Return True for records (n,) of a size that no gauge sends, after one that is none."""
+        rating = np.asarray(self._limits.force_rating)
+        sizes = np.where(self._measured, np.abs(records["value"]) / rating, 0.0)
+        wrong = (sizes > IMPOSSIBLE).any(axis=1)
+        wrong &= records["status"] & self._limits.force_status_mask == 0
+        first_ns, before_ns = int(records["t_ns"][0]), self._impossible_ns
+        before = before_ns is not None and before_ns != first_ns
+        self._impossible_ns = int(records["t_ns"][-1]) if wrong[-1] else None
+        return np.asarray(wrong & ~np.append(before, wrong[:-1]))
+
+    def _growing(self) -> Violation | None:
+        """Return the violation of a load beyond the hard limit that still grows, or None."""
+        last = [force for _t_ns, force in list(self._history)[-_GROWING:]]
+        ahead = self._predict()
+        if ahead is None or len(last) < _GROWING:
+            return None
+        loads = np.array([self._loads(force) for force in (*last, ahead)])
+        least = np.append(np.zeros(_GROWING - 1), _GROWTH)[:, None]
+        grows = (loads[0] > self._limits.hard_fraction) & (np.diff(loads, axis=0) > least).all(0)
+        return self._hard(int(np.argmax(grows)), last[-1]) if grows.any() else None
 
     def _hard(self, load: int, force: list[float]) -> Violation:
         name, text = self._said(load, force)

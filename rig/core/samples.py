@@ -21,11 +21,18 @@ POSE_LATEST = np.dtype(
     ]
 )
 
-# State of the sensor's signal on a bench without a force gauge: arrival of the newest sample and of
-# the newest one that differed from its predecessor [ns], change since the last zero in standard
+# State of the sensor's signal on a bench without a force gauge: arrival of the newest sample, of the
+# newest one that differed from its predecessor, and of the newest that differed by more than noise
+# from the one that did so before [ns]; change since the last zero in standard
 # deviations of its noise, largest motion of a marker [px] or deviation of a taxel [counts].
 SIGNAL_LATEST = np.dtype(
-    [("t_ns", "<i8"), ("fresh_ns", "<i8"), ("change", "<f8"), ("motion", "<f8")]
+    [
+        ("t_ns", "<i8"),
+        ("fresh_ns", "<i8"),
+        ("moved_ns", "<i8"),
+        ("change", "<f8"),
+        ("motion", "<f8"),
+    ]
 )
 
 # Arrival time and row of the newest frame; images never cross a process boundary.

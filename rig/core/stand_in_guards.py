@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rig.core.guard import Mode, Violation, stale
+from rig.core.guard import Mode, Travelled, Violation, at_rest, stale
 from rig.core.samples import FORCE_LATEST, SIGNAL_LATEST
 
 
@@ -29,8 +29,12 @@ class SignalGuard:
     """`px` or `counts`."""
     contact: float = math.inf
     """Change, in standard deviations of the noise, that ends a press: for approaches."""
+    way: float = math.inf
+    """Way in contact without a change beyond noise that stops the arm [m]."""
 
-    def check(self, now_ns: int, records: np.ndarray | None, mode: Mode) -> Violation | None:
+    def check(
+        self, now_ns: int, records: np.ndarray | None, mode: Mode, travelled: Travelled = at_rest
+    ) -> Violation | None:
         """Return the reason to stop now, or None; see `rig.core.guard.Guard`."""
         if mode == "retreat":
             return None
@@ -47,6 +51,13 @@ class SignalGuard:
             t_ns = int(records[field][-1])
             if late := stale("stale_force", what, now_ns, t_ns, self.stale, cause):
                 return late
+        gone = travelled(int(records["moved_ns"][-1]))
+        if gone > self.way:
+            return Violation(
+                "stale_force",
+                f"the signal has shown nothing but noise for {1e3 * gone:.2f} mm in contact; "
+                f"allowed: {1e3 * self.way:.2f} mm; does the sensor repeat itself?",
+            )
         what = "a marker moved" if self.unit == "px" else "a taxel changed"
         motion = float(records["motion"].max())
         # Negated, so that NaN stops too.
@@ -72,7 +83,9 @@ class CrashGuard:
     stale: float
     """Age of the newest wrench that stops the arm [s]."""
 
-    def check(self, now_ns: int, records: np.ndarray | None, mode: Mode) -> Violation | None:
+    def check(
+        self, now_ns: int, records: np.ndarray | None, mode: Mode, travelled: Travelled = at_rest
+    ) -> Violation | None:
         """Return the reason to stop now, or None; see `rig.core.guard.Guard`."""
         if mode == "retreat":
             return None

@@ -201,7 +201,7 @@ def test_retreat_goes_on_without_data_and_with_a_saturated_sensor():
 
 def test_retreat_is_not_held_by_a_sensor_lost_while_its_load_grew():
     guard, clock = Guard(LIMITS, FRAME), FakeClock()
-    for load in (10.0, 11.0, 12.0, 13.0, 14.0):
+    for load in (11.0, 12.0, 13.0, 14.0, 15.0):
         clock.advance(0.004)
         newest = force(clock.now_ns(), (0, 0, load, 0, 0, 0))
         violation = guard.check(clock.now_ns(), newest, None, "retreat")
@@ -321,7 +321,7 @@ def several(now_ns: int, loads, statuses=None):
 @pytest.mark.parametrize("place", range(5))
 @pytest.mark.parametrize(
     ("load", "status", "kind"),
-    [(2147.0, 0, "force_hard"), (-10.5, 0, "force_soft"), (-1.0, 0x20000, "force_status")],
+    [(-55.0, 0, "force_hard"), (-10.5, 0, "force_soft"), (-1.0, 0x20000, "force_status")],
 )
 def test_one_bad_record_between_two_looks_stops_wherever_it_is(place, load, status, kind):
     loads, statuses = [-1.0] * 5, [0] * 5
@@ -338,11 +338,38 @@ def test_a_protective_stop_or_a_place_outside_the_box_between_two_looks_stops():
         assert MotionGuard(LIMITS, FRAME).check(now_ns, records, "guarded").kind == kind
 
 
-def test_one_bad_record_does_not_hold_a_retreat_in_contact():
+def test_one_impossible_record_is_left_out_and_a_second_one_stops():
+    now_ns, guard = 10_000 * MS, ForceGuard(LIMITS)
+    for loads, kind in (
+        ([-1.0, 2147.0, -1.0, -2147.0, -1.0], None),
+        ([-1.0, -1.0, 2147.0], None),
+        ([2147.0, -1.0], "force_hard"),
+        ([-1.0, 2147.0, 2147.0, -1.0], "force_hard"),
+    ):
+        now_ns += 5 * MS
+        found = guard.check(now_ns, several(now_ns, loads), "guarded")
+        assert (found and found.kind) == kind
+        if loads[-1] == 2147.0:  # no new record by the next look
+            assert guard.check(now_ns + MS, several(now_ns, loads)[-1:], "guarded") is None
+
+
+@pytest.mark.parametrize(
+    ("loads", "holds"),
+    [
+        ([2147.0], False),
+        ([-14.0], False),
+        ([-14.0, -14.5], False),
+        ([-14.0, -14.0, -14.0], False),
+        ([-14.0, -13.0, -15.0], False),
+        ([-14.0, -14.5, -15.0], True),
+    ],
+)
+def test_a_retreat_goes_on_unless_the_load_grows_over_three_records(loads, holds):
     guard, now_ns = ForceGuard(LIMITS), 10_000 * MS
     assert guard.check(now_ns, several(now_ns, [-3.0] * 8), "retreat") is None
-    later_ns = now_ns + 4 * MS
-    assert guard.check(later_ns, several(later_ns, [-3.0, -3.0, 2147.0]), "retreat") is None
+    later_ns = now_ns + len(loads) * MS
+    found = guard.check(later_ns, several(later_ns, loads), "retreat")
+    assert (found is not None) == holds
 
 
 def test_the_slope_takes_every_record_of_a_look():

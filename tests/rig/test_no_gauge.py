@@ -1,6 +1,7 @@
 """Collecting without a force gauge: settings, guards that stand in, surface, wrong benches."""
 
 import dataclasses
+import functools
 import io
 import math
 import multiprocessing
@@ -46,8 +47,9 @@ from rig.bench.guards import (
 from rig.core.clock import SECOND_NS
 from rig.core.config import read_yaml
 from rig.core.errors import ConfigError, SafetyStop
+from rig.core.guard import GuardLimits, MotionGuard
 from rig.core.packaged import BENCHES
-from rig.core.samples import FORCE_LATEST, SIGNAL_LATEST
+from rig.core.samples import FORCE_LATEST, POSE_LATEST, SIGNAL_LATEST
 from rig.core.shared_memory import SharedLatest
 from rig.core.stand_in_guards import CrashGuard, SignalGuard
 from rig.devices.arm.emulated_arm import Wrist
@@ -134,14 +136,14 @@ def test_a_press_does_not_reach_the_hard_limit_while_the_arm_reacts(
 
 
 def signal_record(t_ns: int, fresh_ns: int, change: float, motion: float) -> Any:
-    return np.array([(t_ns, fresh_ns, change, motion)], SIGNAL_LATEST)
+    return np.array([(t_ns, fresh_ns, fresh_ns, change, motion)], SIGNAL_LATEST)
 
 
 def wrench_record(t_ns: int, *force: float) -> Any:
     return np.array([(t_ns, 0, (*force, 0.0, 0.0, 0.0))], FORCE_LATEST)
 
 
-SIGNAL = SignalGuard(largest=100.0, stale=0.2, unit="px", contact=40.0)
+SIGNAL = SignalGuard(largest=100.0, stale=0.2, unit="px", contact=40.0, way=0.25e-3)
 CRASH = CrashGuard(force=9.0, stale=0.1)
 S = SECOND_NS
 
@@ -184,6 +186,41 @@ def test_guards_that_stand_in_see_every_record_since_their_last_look(worst: int)
         assert found.kind == "force_hard"
 
 
+def test_a_signal_that_shows_nothing_of_a_press_stops_it() -> None:
+    frame, limits = (0.1, 0.2, 0.3, 0.0, 0.0, 0.0), GuardLimits((1.0,) * 6, ((-1,) * 3, (1,) * 3))
+    motion = MotionGuard(limits, frame)
+    poses = np.zeros(1000, POSE_LATEST)
+    poses["t_ns"], poses["safety_status"] = 2_000_000 * np.arange(1000), 1
+    poses["value"][:, :3] = frame[:3]
+    poses["value"][:, 2] += 1e-3 - 4e-6 * np.arange(1000)  # 2 mm/s down from 1 mm
+    assert motion.check(int(poses["t_ns"][-1]), poses, "guarded") is None
+    late = int(poses["t_ns"][-1])
+    assert motion.travelled(0) == pytest.approx(2.894e-3, abs=3e-6)
+    assert motion.travelled(late - S // 10) == pytest.approx(0.196e-3, abs=5e-6)
+    for since_ns, kind in ((late - S // 10, None), (late - S // 6, "stale_force")):
+        found = SIGNAL.check(late, signal_record(late, since_ns, 0, 0), "guarded", motion.travelled)
+        assert (None if found is None else found.kind) == kind
+    for mode in ("retreat", "guarded"):
+        motion.check(late + 1, poses[-1:], mode)
+    assert motion.travelled(0) == 0.0
+
+
+@pytest.mark.parametrize("noise", [0.0, 2.0, 6.0])
+def test_fresh_noise_on_one_picture_is_no_motion(noise: float) -> None:
+    rng, level = np.random.default_rng(1), SignalLevel(is_image=True)
+
+    def shown(amount: float, noise: float) -> Any:
+        image = pressed_pattern(amount) + rng.normal(0, noise, (480, 640, 1))
+        return {"value": np.clip(image, 0, 255).astype(np.uint8)}
+
+    for _ in range(16):
+        level.add(shown(0.0, 1.0))
+    level.zero()
+    assert any(level.add(shown(amount, 1.0)).moved for amount in (0.5, 1.0, 1.5))
+    assert not any([level.add(shown(1.5, noise)).moved for _ in range(20)][2:])
+    assert any(level.add(shown(amount, 1.0)).moved for amount in (2.0, 2.5, 3.0))
+
+
 def test_the_level_shows_contact_and_repeated_readings() -> None:
     rng = np.random.default_rng(0)
     level = SignalLevel(is_image=False)
@@ -206,6 +243,7 @@ def test_the_level_shows_contact_and_repeated_readings() -> None:
     assert not again.fresh
 
 
+@functools.cache
 def pressed_pattern(amount: float) -> np.ndarray:
     """Return a picture (480, 640, 3) of dots 70 px apart, pushed outwards by up to some px."""
     v, u = np.mgrid[:480, :640].astype(np.float64)

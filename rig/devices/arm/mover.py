@@ -99,7 +99,7 @@ class Watch:
         now_ns = self._clock.now_ns()
         violations = [self._motion.check(now_ns, poses, mode)]
         for record, name, guard in self._guards:
-            violations.append(guard.check(now_ns, record.unread(), mode))
+            violations.append(guard.check(now_ns, record.unread(), mode, self._motion.travelled))
             if record.missed and mode != "retreat":
                 violations.append(_overrun(name, record.missed))
         return most_serious(each for each in violations if each is not None)
