@@ -39,7 +39,9 @@ WARNINGS = {
     "wrong-sign": "a pull while the skin is pressed",
     "scale": "a force of another size than the skin's, or than other presses of that depth have",
     "depth-force": "a force that does not rise with the depth",
-    "shear-direction": "side forces that do not follow the shear, or mirrored",
+    "force-step": "a force that is another one from one sample to the next",
+    "held": "a gauge or taxels that repeat their values for a part of a second",
+    "shear-direction": "side forces that do not follow the shear, turned or mirrored",
     "torque": "torques that are not those of the force at any place",
     "pose-speed": "poses that no arm can have: their speed, jump, reach or turn",
     "pose-place": "presses that end away from their planned place, or an arm that stands",
@@ -48,7 +50,8 @@ WARNINGS = {
     "odd-image": "a picture unlike both of its neighbours, which are alike",
     "image-jump": "a picture that is another one all at once",
     "still-image": "pictures that do not change in a press",
-    "image-time": "pictures that change at other times than the force",
+    "force-time": "a gauge that shows presses at other times than the arm",
+    "image-time": "pictures or taxels that show presses at other times than force or arm",
     "dead-taxel": "a taxel that always has one value while others change",
 }
 # Codes of the notes on a session: limits of what it can tell, which are no faults of its data.
@@ -57,6 +60,7 @@ NOTES: dict[str, str] = {
     "bench": "a state of bench or computer when a run began",
     "stopped": "why the recording ended early",
     "slow": "an arm that moved slower than planned, by the speed slider of its pendant",
+    "unverified": "a gauge that has shown no known weight: its newtons may be others",
     "uncalibrated": "a signal whose latency was not measured: an interval is assumed",
     "drops-unseen": "a device without numbers and times: drops are inferred, or not seen",
     "sealed-later": "a manifest that was lost and made again: earlier changes cannot be seen",

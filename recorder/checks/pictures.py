@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from recorder.checks.presses import DEEP, DOWN, Presses
 from recorder.checks.testimony import Testimony, most
+from recorder.checks.timing import beyond_noise, timing
 from recorder.findings import Finding
 from recorder.session.align import NS, captured
 from recorder.session.columns import Stream
@@ -67,6 +68,7 @@ def pictures(presses: Presses) -> Iterator[Testimony]:
         if name == session.signal:
             yield from _still(presses, name, looked)
             yield from _late(presses, name, looked)
+            yield from timing(presses, stream, beyond_noise(looked.moved))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -342,6 +344,15 @@ def taxels(presses: Presses) -> Iterator[Testimony]:
         values = np.asarray(presses.session.streams[name].array("value"), np.float64)
         if len(values) >= 10 and values.ndim == 3:
             yield from _dead(name, values)
+            yield from _late_taxels(presses, name, values)
+
+
+def _late_taxels(presses: Presses, name: str, values: Floats) -> Iterator[Testimony]:
+    session = presses.session
+    rest = np.asarray(session.reference.get(session.columns.get(name, ""), ()), np.float64)
+    if rest.shape[1:] == values.shape[1:] and len(rest):
+        moved = np.sqrt(np.square(values - np.nanmean(rest, axis=0)).mean(axis=(1, 2)))
+        yield from timing(presses, session.streams[name], beyond_noise(moved))
 
 
 def _dead(name: str, values: Floats) -> Iterator[Testimony]:

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from recorder.checks.pictures import pictures, taxels
 from recorder.checks.presses import ASIDE, BACK, DEEP, DOWN, NOISE, Phase, Presses
 from recorder.checks.testimony import Testimony, most
+from recorder.checks.timing import force_timing
 from recorder.findings import Finding
-from recorder.session.align import NS, largest, quaternion, untrusted_words
+from recorder.session.align import NS, largest, measured, quaternion, untrusted_words
 from recorder.session.reader import Session
 from recorder.spec import AXES
 
@@ -67,8 +68,12 @@ UNITS = {
 # (correlation).
 SEVERAL, RISES = 5, 0.4
 # How well side forces must follow the shear, rotated (1: exactly); directions that are needed; and
-# force in noise.
-FOLLOWS, SPREAD = 0.5, 0.15
+# the largest angle between the two [deg], as rig has the gauge's axes along those of the contact.
+FOLLOWS, SPREAD, ASTRAY = 0.5, 0.15, 25.0
+# Step of a force from one sample to the next [N], over that of a press, over the noise, and over
+# the steps before and after it. Equal samples of a gauge, [s] and over the runs of equal ones, of
+# which one in a thousand is longer.
+STEP, STEP_OF_PEAK, STEPPED, HELD, HELD_USUAL = 0.7, 0.1, 3.0, 0.2, 5.0
 # Force from which torques are compared with its lever [N]; error of torque that is none over its
 # size; error that the contact's own place may add [m]; longest lever [m].
 LOADED, TWIST, PLACE, LEVER = 1.0, 0.3, 4e-3, 0.6
@@ -272,6 +277,48 @@ def force_over_depth(presses: Presses) -> Iterator[Testimony]:
     yield Testimony((1 - median) / (1 - RISES), Finding("depth-force", _where(presses), message))
 
 
+def steps(presses: Presses) -> Iterator[Testimony]:
+    """Forces that are other ones from one sample to the next, and stay so."""
+    if presses.force is None or len(presses.values) < 4:
+        return
+    doubt, found = [], []
+    limit = max(STEP, STEP_OF_PEAK * _peak(presses))
+    for axis in presses.forces:
+        step = np.abs(np.diff(presses.values[:, axis]))
+        beside = np.maximum(step[:-2], step[2:])
+        size = step[1:-1] / (limit + NOISE * presses.sigma[axis] + STEPPED * beside)
+        size = np.nan_to_num(size)
+        doubt.append(float(size.max()))
+        found.append((axis, 1 + int(size.argmax())))
+
+    def text(worst: int) -> str:
+        axis, row = found[worst]
+        before, after = presses.values[row : row + 2, axis]
+        return f"{AXES[axis]} is {before:.3g} N in row {row} and {after:.3g} N in the next"
+
+    yield from most(doubt, "force-step", _where(presses), text)
+
+
+def held(presses: Presses) -> Iterator[Testimony]:
+    """Gauges and taxels with noise that send the same values again and again."""
+    for stream in presses.session.streams.values():
+        if stream.traits.kind not in ("force", "taxels") or len(stream) < 100:
+            continue
+        values = measured(stream, stream.array("value"))
+        changed = np.flatnonzero((values[1:] != values[:-1]).any(axis=1)) + 1
+        if len(changed) < len(values) / 2 or "reading" in stream.names:
+            continue  # one without noise, or a scale that settles
+        runs = np.diff(np.concatenate([[0], changed, [len(values)]]))
+        usual = float(np.quantile(runs, 0.999, method="lower"))
+        worst = int(runs.argmax())
+        message = (
+            f"the same values in {runs[worst]} rows, from row {int(runs[:worst].sum())}, though "
+            "others differ from row to row: frozen"
+        )
+        doubt = float(runs[worst]) / max(HELD * stream.rate_hz, HELD_USUAL * usual)
+        yield Testimony(doubt, Finding("held", f"streams/{stream.name}/value", message))
+
+
 def shear_follows(presses: Presses) -> Iterator[Testimony]:
     """Side forces that are mirrored, or do not follow the shear."""
     moved, felt = [], []
@@ -291,11 +338,15 @@ def shear_follows(presses: Presses) -> Iterator[Testimony]:
     # Shears along one line cannot tell a mirrored axis from a turned one.
     spread = 1 - abs(np.mean(way**2))
     turned, mirrored = abs(np.mean(force * way.conj())), abs(np.mean(force * way))
-    doubt, message = (1 - turned) / (1 - FOLLOWS), "side forces do not follow the shear"
+    angle = float(np.degrees(np.angle(np.mean(force * way.conj()))))
+    doubt = max((1 - turned) / (1 - FOLLOWS), abs(angle) / ASTRAY)
+    message = "side forces do not follow the shear"
     if spread > SPREAD and mirrored > turned:
         message = (
             "side forces are mirrored beside the shear: an axis is swapped or has a wrong sign"
         )
+    elif turned > FOLLOWS:
+        message = f"side forces are turned by {angle:+.0f} degrees beside the shear: check the axes"
     yield Testimony(
         float(doubt),
         Finding("shear-direction", _where(presses), f"{message} ({len(way)} shears)"),
@@ -349,7 +400,7 @@ def levers(presses: Presses) -> Iterator[Testimony]:
 FASTER, FAST, TURNING, OVER = 4.0, 2.0, 6.0, 0.1
 # Largest distance of an arm from its base [m], turn of a pose [rad], and jump to the next one [m]
 # beside 3 times the speed that a tenth of the steps of a moving arm exceeds; it moves above [m/s].
-REACH, TURN, JUMP, JUMPY, MOVING = 4.0, 7.0, 0.5e-3, 3.0, 1e-3
+REACH, TURN, JUMP, JUMPY, MOVING = 4.0, 7.0, 0.25e-3, 3.0, 1e-3
 # Distance of the reached place from the planned one [m], and over the way to it.
 AWAY, AWAY_OF_WAY = 0.3e-3, 0.05
 # Time at the end of a phase over which its place is the median, as reported positions jitter [s].
@@ -461,10 +512,13 @@ WITNESSES: tuple[Witness, ...] = (
     pulls,
     scale,
     force_over_depth,
+    steps,
+    held,
     shear_follows,
     levers,
     speeds,
     places,
+    force_timing,
     taxels,
 )
 OF_IMAGES: tuple[Witness, ...] = (pictures,)

@@ -66,6 +66,7 @@ class Presses:
 
     def __init__(self, session: Session) -> None:
         self.session = session
+        self._places: dict[int, tuple[Times, Floats]] = {}
 
     @cached_property
     def force(self) -> Stream | None:
@@ -137,40 +138,44 @@ class Presses:
         """Return times (m,) [ns] and places (m, 3) [m] of the tip in the contact frame."""
         if self.pose is None or self.frame is None:
             return np.zeros(0, np.int64), np.zeros((0, 3))
-        rows = self.session.rows_of_run(self.pose.name, run)
-        poses = np.asarray(self.pose.array("value"), np.float64)[rows]
-        with np.errstate(all="ignore"):
-            return self.pose.t_ns[rows], in_frame(self.frame, poses)
+        if run not in self._places:
+            rows = self.session.rows_of_run(self.pose.name, run)
+            poses = np.asarray(self.pose.array("value"), np.float64)[rows]
+            with np.errstate(all="ignore"):
+                self._places[run] = self.pose.t_ns[rows], in_frame(self.frame, poses)
+        return self._places[run]
+
+    @cached_property
+    def _heights(self) -> Floats:
+        return surface_heights(self.session)
+
+    def height(self, target: int) -> float:
+        """Return the height of the surface at the point of a target [m]."""
+        return float(self._heights[target]) if target < len(self._heights) else 0.0
 
     @cached_property
     def phases(self) -> list[Phase]:
-        """Phases in the order of their segments; none without a gauge."""
+        """Phases in the order of their segments; without samples if there is no gauge."""
         return list(self._phases())
 
     def _phases(self) -> Iterator[Phase]:
         segments, force = self.session.segments, self.force
-        if force is None or not len(segments["target"]):
-            return
-        heights = surface_heights(self.session)
-        runs: dict[int, tuple[Times, Times, Floats]] = {}
+        none = slice(0, 0)
         for row in range(len(segments["target"])):
             run, target = int(segments["run"][row]), int(segments["target"][row])
             if not 0 <= target < len(self.session.targets.get("point", ())):
                 continue  # a fault of the segments, or a session without targets
-            if run not in runs:
-                runs[run] = (
-                    force.t_ns[self.session.rows_of_run(force.name, run)],
-                    *self.places(run),
-                )
-            times, moments, places = runs[run]
+            rows = none if force is None else self.session.rows_of_run(force.name, run)
+            times = np.zeros(0, np.int64) if force is None else force.t_ns[rows]
+            moments, places = self.places(run)
             start, end = int(segments["start_ns"][row]), int(segments["end_ns"][row])
             first, last = np.searchsorted(times, (start, end))
-            begin = int(self.session.rows_of_run(force.name, run).start or 0) + int(first)
+            begin = int(rows.start or 0) + int(first)
             depth = np.full(int(last - first), np.nan)
             near = slice(*np.searchsorted(moments, (start, end)))
             if len(moments) > 1:
                 height = align.linear(moments, places[:, 2], times[first:last]).value
-                depth = (heights[target] if target < len(heights) else 0.0) - height
+                depth = self.height(target) - height
             yield Phase(
                 target,
                 int(segments["phase"][row]),

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.command_line.options import next_command
 from recorder.findings import Finding
 from recorder.session.columns import Stream
 from recorder.session.reader import Session
@@ -61,6 +62,13 @@ def states(session: Session) -> Iterator[Finding]:
             yield from _slow(session, stream)
         if stream.traits.kind == "force" and READING not in stream.names:
             yield from _clipped(stream)
+    steps = session.attrs.get("calibration")
+    for key in ("acceptance", "steps", "gauge"):
+        steps = steps.get(key) if isinstance(steps, dict) else None
+    gauge = session.first("force")
+    if gauge is not None and steps != "well":
+        text = f"no known weight has verified its scale ({next_command('setup')})"
+        yield Finding("unverified", f"streams/{gauge}", text)
 
 
 def state_lines(session: Session) -> list[str]:

@@ -103,7 +103,7 @@ def _made(name: str, seconds: float, shape: tuple[int, int], codec: str, seed: i
     if name == "force":
         value = noise.normal(0, 0.02, (count, 6))
         value[:, 2] += press
-        value[:, 0] += 0.4 * press * shear / 5e-4
+        value[:, 0] -= 0.4 * press * shear / 5e-4
         columns |= {"value": value, "seq": np.arange(count) + 100, "status": time.astype(int) * 0}
     if name == "pose":
         value = np.tile(CONTACT_FRAME, (count, 1))
