@@ -32,9 +32,12 @@ SIGMAS, FRAME, SCATTERS = 3.0, 1 / 30, 4.0
 def timing(presses: Presses, stream: Stream, level: Floats) -> Iterator[Testimony]:
     """Yield the testimony about the times of a stream whose samples have a level (n,).
 
-    The level is 0 without contact, and rises with the indentation.
+    The level is 0 without contact, and rises with the indentation; of one that holds NaN, nothing
+    is said.
     """
     session, name = presses.session, stream.name
+    if not np.isfinite(level).all():
+        return
     times = captured(stream)
     delays: list[float] = []
     found: list[int] = []
@@ -74,7 +77,7 @@ def timing(presses: Presses, stream: Stream, level: Floats) -> Iterator[Testimon
 
 def beyond_noise(moved: NDArray[np.floating]) -> Floats:
     """Return the size of a change (n,) less, in squares, that of the noise without contact."""
-    noise = np.nanquantile(moved, 0.02)
+    noise = np.quantile(moved, 0.02)
     return np.sqrt(np.maximum(np.square(moved, dtype=np.float64) - noise**2, 0.0))
 
 
