@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from recorder.checks.presses import DEEP, DOWN, UP, Phase, Presses
 from recorder.checks.testimony import Testimony, most
-from recorder.findings import Finding
 from recorder.session.align import NS, captured
 from recorder.session.columns import Stream
 from recorder.session.uncertainty import time_sigma
@@ -93,9 +92,7 @@ def _delay(presses: Presses, one: Phase, times: NDArray[np.int64], level: Floats
     """Return the delay of a signal behind the depth in one phase [s]; NaN if it cannot be told."""
     moments, places = presses.places(one.run)
     around = round(AROUND / NS)
-    first, last = np.searchsorted(
-        times, (one.start - around, one.end + around * (one.code == UP))
-    )
+    first, last = np.searchsorted(times, (one.start - around, one.end + around * (one.code == UP)))
     rows = np.arange(first, last, max(1, (last - first) // MOST))
     if len(rows) < FEWEST or len(moments) < 2:
         return float("nan")
@@ -111,7 +108,7 @@ def _delay(presses: Presses, one: Phase, times: NDArray[np.int64], level: Floats
     explained = (fitted * np.linalg.solve(gram, fitted)).sum(axis=(1, 2)) / size
     explained[fitted[:, 0, 0] <= 0] = 0.0  # a signal rises with the depth
     best = int(explained.argmax())
-    if not EXPLAINED < explained[best] or not 0 < best < len(DELAYS) - 1:
+    if not explained[best] > EXPLAINED or not 0 < best < len(DELAYS) - 1:
         return float("nan")
     low, middle, high = explained[best - 1 : best + 2]
     step = 0.5 * (DELAYS[1] - DELAYS[0])
