@@ -14,6 +14,8 @@ import pytest
 from hypothesis import settings
 from support import copies
 
+from recorder.store import files
+
 # Two workers run the tests; libraries that each use both cores slow them down ten times. Must be
 # set before any of them is imported.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -36,6 +38,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 # Flushing guards against power failures, which these tests do not have, and takes a twentieth of
 # the time of small sessions.
 os.fsync = os.fdatasync = lambda fd: None
+files.SYNCFS = None
 
 # Deadlines would measure the machine, not the code.
 settings.register_profile("house", deadline=None, max_examples=40)

@@ -622,7 +622,7 @@ def read_sensor(path: Path, files: Files = LOCAL) -> StoredSensor:
 
 def require_plain_name(name: object) -> str:
     """Return the name of a sensor after checking that it does not lead out of the archive."""
-    if not isinstance(name, str) or Path(name).name != name:
+    if not isinstance(name, str) or Path(name).name != name or not name.isprintable():
         raise SessionError(f"found sensor {name!r}, expected a plain name")
     return name
 

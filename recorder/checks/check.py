@@ -3,7 +3,7 @@
 import math
 import os
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from itertools import islice, product
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from recorder.checks.plausible import doubts
 from recorder.errors import SessionError
 from recorder.findings import Finding
 from recorder.session.align import NS, flat, measured
-from recorder.session.columns import Stream
+from recorder.session.columns import Rows, Stream, blocks
 from recorder.session.loss import (
     ARRIVAL,
     EVENTS,
@@ -347,33 +347,30 @@ def check_stream(
     compressed = is_compressed(session.attrs)
     for run, losses in enumerate(account.runs):
         rows = session.rows_of_run(stream.name, run)
-        first = rows.start or 0
-        t_ns = stream.t_ns[rows]
-        columns = {name: stream.array(name)[rows] for name in stream.small}
         stood = stalls(session, run)
-        yield from _check_times(
-            stream_path, first, t_ns, columns, losses, stream.rate_hz, compressed, stood
-        )
+        yield from _check_times(stream_path, stream, rows, losses, compressed, stood)
         still = "still" in (stream.attrs.get("source_motion"), session.attrs.get("source_motion"))
         # A scale repeats one reading while its load rests.
         if stream.traits.defaults.changes and not still and READING not in stream.small:
             images = None if contents is None else contents[: len(stream)][rows]
-            # Two NaN differ, so that axes that are not measured would hide a frozen gauge.
-            same = images if images is not None else measured(stream, columns["value"])
-            yield from _check_frozen(stream_path, first, t_ns, same, stood)
-    for name in stream.small:
-        values = stream.array(name)
-        if values.dtype.kind == "f" and name not in _NAN_IS_FINE:
+            values = stream.rows("value", rows) if images is None else images
+            yield from _check_frozen(stream_path, stream, rows, values, stood)
+    for layout in stream.layout.small:
+        name, bad = layout.column.name, []
+        if layout.dtype.kind != "f" or name in _NAN_IS_FINE:
+            continue
+        for part in blocks(len(stream)):
+            values = stream.rows(name, part)[:]
             numbers = measured(stream, values) if name == "value" else flat(values)
             missing = np.asarray(~np.isfinite(numbers).all(axis=1))
             if name == "value" and READING in stream.small:
                 # A reading that has not settled is kept, and is no value.
-                missing &= ~np.isfinite(stream.array(READING))[: len(missing)]
-            bad = np.flatnonzero(missing)
-            if bad.size:
-                yield Finding(
-                    "nan", f"{stream_path}/{name}", f"{bad.size} rows, first row {bad[0]}"
-                )
+                missing &= ~np.isfinite(stream.rows(READING, part)[:])
+            bad.append(part.start + np.flatnonzero(missing))
+        if any(map(len, bad)):
+            rows_of = np.concatenate(bad)
+            message = f"{len(rows_of)} rows, first row {rows_of[0]}"
+            yield Finding("nan", f"{stream_path}/{name}", message)
 
 
 def _check_declared(session: Session) -> Iterator[Finding]:
@@ -451,42 +448,52 @@ def _check_losses(session: Session, where: str, name: str, account: Account) -> 
 
 def _check_times(
     where: str,
-    first: int,
-    t_ns: NDArray[np.int64],
-    columns: Mapping[str, Array],
+    stream: Stream,
+    rows: slice,
     losses: Losses,
-    rate_hz: float,
     compressed: bool,
     stood: NDArray[np.int64],
 ) -> Iterator[Finding]:
+    first, t_ns, rate_hz = rows.start or 0, stream.rows("t_ns", rows), stream.rate_hz
     if len(t_ns) < 2:
         return
-
-    def counted(rows: NDArray[np.intp]) -> str:
-        return f"{rows.size} found, first at row {first + rows[0] + 1}"
-
     limit = max(GAP_PERIODS / rate_hz, GAP_LEAST)
-    steps = np.diff(t_ns) * NS
-    jumped = np.zeros(0, np.intp) if compressed else _clock_steps(t_ns, columns, limit)
-    if jumped.size:
-        yield Finding("clock-step", where, f"{counted(jumped)}, {steps[jumped[0]]:+.3f} s")
-    explained = in_stalls(stood, t_ns[:-1], t_ns[1:])
-    explained[losses.row - 1] = True
-    explained[jumped] = True
-    if losses.source == SEQUENCE:
-        repeated = np.flatnonzero(np.diff(columns["seq"]) <= 0)
-        if repeated.size:
-            yield Finding("seq-order", f"{where}/seq", counted(repeated))
-    backward = np.flatnonzero((steps <= 0) & ~explained)
-    if backward.size:
-        yield Finding("time-order", where, f"{counted(backward)}, {steps[backward[0]]:+.6f} s")
+    jumped = np.zeros(0, np.intp) if compressed else _clock_steps(stream, rows, limit)
+    known = np.concatenate([losses.row - 1, jumped])
+    # Rows before a step of each kind, counted in the run, and the steps [s].
+    found: dict[str, list[tuple[Array, Array]]] = defaultdict(list)
+    for part in blocks(len(t_ns) - 1):
+        near = slice(part.start, part.stop + 1)
+        times = t_ns[near]
+        steps = np.diff(times) * NS
+        explained = in_stalls(stood, times[:-1], times[1:])
+        explained[known[(known >= part.start) & (known < part.stop)] - part.start] = True
+        kinds = {"time-order": (steps <= 0) & ~explained, "gap": (steps > limit) & ~explained}
+        if losses.source == SEQUENCE:
+            kinds["seq-order"] = np.diff(stream.rows("seq", rows)[near]) <= 0
+        for code, here in kinds.items():
+            found[code].append((part.start + np.flatnonzero(here), steps[here]))
+    found["clock-step"] = [(jumped, np.array([(t_ns[k + 1] - t_ns[k]) * NS for k in jumped[:1]]))]
+    for code, of, digits in (
+        ("clock-step", "", 3),
+        ("seq-order", "/seq", None),
+        ("time-order", "", 6),
+    ):
+        at, steps = map(
+            np.concatenate, zip(*found.get(code, [(known[:0], known[:0])]), strict=True)
+        )
+        if at.size:
+            by = "" if digits is None else f", {steps[0]:+.{digits}f} s"
+            yield Finding(
+                code, where + of, f"{at.size} found, first at row {first + at[0] + 1}{by}"
+            )
     if compressed or losses.source == EVENTS:
         return
-    gaps = np.flatnonzero((steps > limit) & ~explained)
-    if gaps.size:
-        worst_at = gaps[np.argmax(steps[gaps])]
+    at, steps = map(np.concatenate, zip(*found["gap"], strict=True))
+    if at.size:
+        worst = int(np.argmax(steps))
         message = (
-            f"{gaps.size} found, longest {steps[worst_at]:.3f} s before row {first + worst_at + 1}"
+            f"{at.size} found, longest {steps[worst]:.3f} s before row {first + at[worst] + 1}"
         )
         yield Finding("gap", where, f"{message}, limit {limit:.3f} s")
     stretch = other_rate(t_ns, rate_hz, losses)
@@ -496,13 +503,13 @@ def _check_times(
         yield Finding("rate", where, f"{message}, declared {rate_hz:g} Hz")
 
 
-def _clock_steps(
-    t_ns: NDArray[np.int64], columns: Mapping[str, Array], limit: float
-) -> NDArray[np.intp]:
+def _clock_steps(stream: Stream, rows: slice, limit: float) -> NDArray[np.intp]:
     """Return the rows after which the offset between host and device has changed permanently."""
-    device_t = columns.get("device_t")
     # Without a device clock, a step cannot be distinguished from a device that paused: a gap.
-    if device_t is None or not np.isfinite(device_t).all():
+    if "device_t" not in stream.small:
+        return np.zeros(0, np.intp)
+    t_ns, device_t = stream.t_ns[rows], stream.array("device_t")[rows]
+    if not np.isfinite(device_t).all():
         return np.zeros(0, np.intp)
     offset = (t_ns - t_ns[0]) * NS - (device_t - device_t[0])
     step_rows = []
@@ -515,21 +522,26 @@ def _clock_steps(
 
 
 def _check_frozen(
-    where: str, first: int, t_ns: NDArray[np.int64], values: Array, stood: NDArray[np.int64]
+    where: str, stream: Stream, rows: slice, values: Array | Rows, stood: NDArray[np.int64]
 ) -> Iterator[Finding]:
-    if len(values) < FROZEN_SAMPLES:
+    """Yield stretches of equal values, which are those in `rows` or the checksums of images."""
+    changed = np.ones(len(values) + 1, np.bool_)
+    for part in blocks(len(values) - 1):
+        # Two NaN differ, so that axes that are not measured would hide a frozen gauge.
+        some = measured(stream, values[part.start : part.stop + 1])
+        changed[1:][part] = (some[1:] != some[:-1]).any(axis=1)
+    ends = np.flatnonzero(np.diff(changed)).reshape(-1, 2)
+    ends = ends[ends[:, 1] - ends[:, 0] + 1 >= FROZEN_SAMPLES]
+    if not len(ends):
         return
-    rows = flat(values)
-    changed = np.flatnonzero((rows[1:] != rows[:-1]).any(axis=1)) + 1
-    starts = np.concatenate([[0], changed])
-    ends = np.concatenate([changed, [len(values)]]) - 1
-    lasting = (t_ns[ends] - t_ns[starts]) * NS
-    still = (lasting > FROZEN) & (ends - starts + 1 >= FROZEN_SAMPLES)
-    frozen = np.flatnonzero(still & ~in_stalls(stood, t_ns[starts], t_ns[ends]))
+    since, until = stream.t_ns[rows][ends.T]
+    lasting = (until - since) * NS
+    frozen = np.flatnonzero((lasting > FROZEN) & ~in_stalls(stood, since, until))
     if frozen.size:
         worst = frozen[np.argmax(lasting[frozen])]
         message = f"{frozen.size} times, longest {lasting[worst]:.1f} s from row"
-        yield Finding("frozen", where, f"{message} {first + starts[worst]}, limit {FROZEN} s")
+        begin = (rows.start or 0) + ends[worst, 0]
+        yield Finding("frozen", where, f"{message} {begin}, limit {FROZEN} s")
 
 
 def _check_cover(
@@ -544,7 +556,7 @@ def _check_cover(
         if not is_regular(stream):
             continue
         stream_path = f"streams/{stream.name}"
-        t_ns = stream.t_ns[session.rows_of_run(stream.name, run)]
+        t_ns = stream.rows("t_ns", session.rows_of_run(stream.name, run))
         if not len(t_ns):
             yield Finding("truncated", stream_path, f"run {run}: no samples at all")
             continue

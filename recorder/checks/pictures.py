@@ -231,7 +231,7 @@ def _pushed(presses: Presses, name: str) -> Floats:
         rows, of_force = (session.rows_of_run(each, run) for each in (name, force.name))
         if rows.stop - rows.start < 2 or of_force.stop - of_force.start < 2:
             continue
-        times, values = force.t_ns[of_force], presses.values[of_force]
+        times, values = force.t_ns[of_force], force.array("value")[of_force]
         # A picture shows the force of up to `LATE` before it arrives.
         at = stream.t_ns[rows]
         first, last = np.searchsorted(times, (at[:-1] - round(LATE / NS), at[1:]))
@@ -286,7 +286,8 @@ def _late(presses: Presses, name: str, looked: Looked) -> Iterator[Testimony]:
         of_force = session.rows_of_run(force.name, run)
         if of_force.stop - of_force.start < 2:
             continue
-        times, moments, values = seen_at[rows], felt_at[of_force], presses.values[of_force]
+        times, moments = seen_at[rows], felt_at[of_force]
+        values = force.array("value")[of_force]
         size = np.sqrt(sum(values[:, axis] ** 2 for axis in axes))
         order = np.argsort(moments, kind="stable")
         moments, size = moments[order], size[order]

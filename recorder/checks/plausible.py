@@ -9,6 +9,7 @@ other quantity it says nothing.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from recorder.checks.testimony import Testimony, most
 from recorder.checks.timing import force_timing
 from recorder.findings import Finding
 from recorder.session.align import NS, largest, measured, quaternion, untrusted_words
+from recorder.session.columns import StreamPart, blocks
 from recorder.session.reader import Session
 from recorder.spec import AXES
 
@@ -44,8 +46,6 @@ def doubts(session: Session, *, images: bool = True) -> Iterator[Finding]:
 
 # The gauge.
 
-# Rows that are looked at at once.
-BLOCK = 1 << 18
 # Time away from all presses after which a skin has recovered [s], part of it that is looked at at
 # once, and height of the tip [m].
 RECOVERED, CLEAR_PART, CLEAR_HEIGHT = 1.5, 0.25, 1e-3
@@ -85,19 +85,20 @@ def _where(presses: Presses, column: str = "value") -> str:
 
 def impossible(presses: Presses) -> Iterator[Testimony]:
     """Values that no gauge of this rating sends."""
-    if presses.force is None or not len(presses.values):
+    if presses.force is None or not len(presses.force):
         return
     limit = largest(presses.force)
-    axes, worst = list(presses.measured), (0.0, 0, 0)
-    for first in range(0, len(presses.values), BLOCK):
-        sizes = np.nan_to_num(np.abs(presses.values[first : first + BLOCK, axes]) / limit[axes])
+    axes, worst = list(presses.measured), (-1.0, 0, 0)
+    for part in blocks(len(presses.force)):
+        values = presses.values(part.start, part.stop)[:, axes]
+        sizes = np.nan_to_num(np.abs(values) / limit[axes])
         row, k = divmod(int(sizes.argmax()), len(axes))
-        worst = max(worst, (float(sizes[row, k]), first + row, axes[k]))
+        worst = max(worst, (float(sizes[row, k]), part.start + row, axes[k]), key=itemgetter(0))
     doubt, row, column = worst
-    unit = "N" if column < 3 else "N m"
+    unit, value = "N" if column < 3 else "N m", presses.values(row, row + 1)[0, column]
     message = (
-        f"{AXES[column]} is {presses.values[row, column]:.4g} {unit} in row {row}, a gauge sends "
-        f"less than {limit[column]:.4g} {unit}: check the unit, or the device's reading"
+        f"{AXES[column]} is {value:.4g} {unit} in row {row}, a gauge sends less than "
+        f"{limit[column]:.4g} {unit}: check the unit, or the device's reading"
     )
     yield Testimony(doubt, Finding("impossible", _where(presses), message))
 
@@ -105,15 +106,18 @@ def impossible(presses: Presses) -> Iterator[Testimony]:
 def marked(presses: Presses) -> Iterator[Testimony]:
     """Samples that the device marks as untrusted."""
     for stream in presses.session.streams.values():
-        words = untrusted_words(stream)
-        if words is not None:
-            bad = np.flatnonzero(words)
-            row, word = (int(bad[0]), int(words[bad[0]])) if bad.size else (0, 0)
-            message = (
-                f"the device marks {bad.size} samples as invalid, first row {row} (0x{word:x})"
-            )
-            finding = Finding("untrusted", f"streams/{stream.name}/status", message)
-            yield Testimony(2.0 * bool(bad.size), finding)
+        if untrusted_words(StreamPart(stream, 0, 0)) is None:
+            continue
+        count, row, word = 0, 0, 0
+        for part in blocks(len(stream)):
+            words = untrusted_words(StreamPart(stream, part.start, part.stop))
+            bad = np.flatnonzero(np.asarray(words))
+            if words is not None and bad.size and not count:
+                row, word = part.start + int(bad[0]), int(words[bad[0]])
+            count += bad.size
+        message = f"the device marks {count} samples as invalid, first row {row} (0x{word:x})"
+        finding = Finding("untrusted", f"streams/{stream.name}/status", message)
+        yield Testimony(2.0 * bool(count), finding)
 
 
 def _peak(presses: Presses) -> float:
@@ -135,7 +139,7 @@ def clear_force(presses: Presses) -> Iterator[Testimony]:
     limits = np.maximum(allowed, NOISE * presses.sigma[:3])
     for run in range(max(len(session.runs), 1)):
         rows = session.rows_of_run(force.name, run)
-        times, values = force.t_ns[rows], presses.values[rows]
+        times, first = force.t_ns[rows], int(rows.start or 0)
         moments, places = presses.places(run)
         of_run = np.flatnonzero(np.asarray(segments["run"]) == run)
         if not of_run.size or len(times) < 2:
@@ -156,11 +160,12 @@ def clear_force(presses: Presses) -> Iterator[Testimony]:
                 ):
                     continue
                 target = int(segments["target"][order[min(number, len(order) - 1)]])
-                level = np.median(values[low:high], axis=0) - presses.offset(run, target, at)
+                values = presses.values(first + int(low), first + int(high))
+                level = np.median(values, axis=0) - presses.offset(run, target, at)
                 axes = presses.forces
                 size = np.abs(level[axes]) / limits[axes]
                 doubt.append(float(size.max()))
-                found.append((axes[int(size.argmax())], level, int(rows.start or 0) + int(low)))
+                found.append((axes[int(size.argmax())], level, first + int(low)))
 
     def text(worst: int) -> str:
         axis, level, row = found[worst]
@@ -180,8 +185,9 @@ def pulls(presses: Presses) -> Iterator[Testimony]:
     for one in presses.of(DOWN, ASIDE, BACK):
         deep = one.depth > PRESSED * presses.planned("depth", one.target)
         if deep.sum() >= 3:
-            doubt.append(float(np.median(one.wrench[deep, 2]) / limit))
-            found.append((one, float(np.median(one.wrench[deep, 2]))))
+            force = float(np.median(one.wrench[deep, 2]))
+            doubt.append(force / limit)
+            found.append((one, force))
 
     def text(worst: int) -> str:
         one, force = found[worst]
@@ -260,13 +266,14 @@ def force_over_depth(presses: Presses) -> Iterator[Testimony]:
     """Compression that does not rise with the depth."""
     found = []
     for one in presses.of(DOWN):
-        inside = (one.depth > 0) & np.isfinite(one.stored[:, 2])
+        depth, force = one.depth, one.stored[:, 2]
+        inside = (depth > 0) & np.isfinite(force)
         if presses.planned("depth", one.target) < DEEP or inside.sum() < 10 or not one.whole:
             continue
-        force = one.stored[inside, 2]
-        ends = (np.median(part) for part in (force[: len(force) // 4], force[-len(force) // 4 :]))
-        if 2 in presses.measured and abs(np.subtract(*ends)) > presses.felt(2):
-            found.append((float(np.corrcoef(one.depth[inside], -force)[0, 1]), one))
+        force = force[inside]
+        ends = [np.median(part) for part in (force[: len(force) // 4], force[-len(force) // 4 :])]
+        if 2 in presses.measured and abs(ends[0] - ends[1]) > presses.felt(2):
+            found.append((float(np.corrcoef(depth[inside], -force)[0, 1]), one))
     if len(found) < SEVERAL:
         return
     median = float(np.median([value for value, _one in found]))
@@ -279,24 +286,19 @@ def force_over_depth(presses: Presses) -> Iterator[Testimony]:
 
 def steps(presses: Presses) -> Iterator[Testimony]:
     """Forces that are other ones from one sample to the next, and stay so."""
-    if presses.force is None or len(presses.values) < 4:
+    if presses.force is None or not presses.forces:
         return
-    doubt, found = [], []
-    limit = max(STEP, STEP_OF_PEAK * _peak(presses))
-    for axis in presses.forces:
-        step = np.abs(np.diff(presses.values[:, axis]))
-        beside = np.maximum(step[:-2], step[2:])
-        size = step[1:-1] / (limit + NOISE * presses.sigma[axis] + STEPPED * beside)
-        size = np.nan_to_num(size)
-        doubt.append(float(size.max()))
-        found.append((axis, 1 + int(size.argmax())))
-
-    def text(worst: int) -> str:
-        axis, row = found[worst]
-        before, after = presses.values[row : row + 2, axis]
-        return f"{AXES[axis]} is {before:.3g} N in row {row} and {after:.3g} N in the next"
-
-    yield from most(doubt, "force-step", _where(presses), text)
+    axes, worst = presses.forces, (0.0, 0, 0)
+    limit = max(STEP, STEP_OF_PEAK * _peak(presses)) + NOISE * presses.sigma[axes]
+    for part in blocks(len(presses.force) - 3):
+        step = np.abs(np.diff(presses.values(part.start, part.stop + 3)[:, axes], axis=0))
+        sizes = step[1:-1] / (limit + STEPPED * np.maximum(step[:-2], step[2:]))
+        row, k = divmod(int(np.nan_to_num(sizes).argmax()), len(axes))
+        worst = max(worst, (float(np.nan_to_num(sizes[row, k])), part.start + row + 1, axes[k]))
+    doubt, row, axis = worst
+    before, after = presses.values(row, row + 2)[:, axis] if doubt else (0.0, 0.0)
+    message = f"{AXES[axis]} is {before:.3g} N in row {row} and {after:.3g} N in the next"
+    yield Testimony(doubt, Finding("force-step", _where(presses), message))
 
 
 def held(presses: Presses) -> Iterator[Testimony]:
@@ -304,11 +306,13 @@ def held(presses: Presses) -> Iterator[Testimony]:
     for stream in presses.session.streams.values():
         if stream.traits.kind not in ("force", "taxels") or len(stream) < 100:
             continue
-        values = measured(stream, stream.array("value"))
-        changed = np.flatnonzero((values[1:] != values[:-1]).any(axis=1)) + 1
-        if len(changed) < len(values) / 2 or "reading" in stream.names:
+        changed = np.ones(len(stream) + 1, np.bool_)
+        for part in blocks(len(stream) - 1):
+            some = measured(stream, stream.rows_between("value", part.start, part.stop + 1))
+            changed[1:][part] = (some[1:] != some[:-1]).any(axis=1)
+        if changed.mean() < 0.5 or "reading" in stream.names:
             continue  # one without noise, or a scale that settles
-        runs = np.diff(np.concatenate([[0], changed, [len(values)]]))
+        runs = np.diff(np.flatnonzero(changed))
         usual = float(np.quantile(runs, 0.999, method="lower"))
         worst = int(runs.argmax())
         message = (
@@ -328,7 +332,12 @@ def shear_follows(presses: Presses) -> Iterator[Testimony]:
     for one in presses.of(ASIDE):
         if len(one.place) < 3 or not one.whole:
             continue
-        way, force = one.place[-1] - one.place[0], one.stored[-3:].mean(0) - one.stored[:3].mean(0)
+        way, last = one.place[-1] - one.place[0], one.first + one.count
+        begin, end = (
+            presses.values(one.first, min(one.first + 3, last)),
+            presses.values(max(last - 3, one.first), last),
+        )
+        force = end.mean(0) - begin.mean(0)
         if np.hypot(*force[:2]) > least and np.hypot(*way[:2]) > 1e-4:
             moved.append(complex(*way[:2]) / np.hypot(*way[:2]))
             felt.append(complex(*force[:2]) / np.hypot(*force[:2]))
@@ -360,9 +369,10 @@ def levers(presses: Presses) -> Iterator[Testimony]:
     doubt, found = [], []
     by_target: dict[int, list[Floats]] = {}
     for one in presses.of(DOWN, ASIDE, BACK):
-        some = one.wrench[np.isfinite(one.wrench).all(axis=1)]
+        some = one.wrench
+        some = some[np.isfinite(some).all(axis=1)]
         some = some[np.linalg.norm(some[:, :3], axis=1) > LOADED]
-        by_target.setdefault(one.target, []).append(some[:: max(1, len(some) // 50)])
+        by_target.setdefault(one.target, []).append(some[:: max(1, len(some) // 50)].copy())
     for target, parts in by_target.items():
         wrench = np.concatenate(parts)
         force, torque = wrench[:, :3], wrench[:, 3:]

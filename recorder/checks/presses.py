@@ -46,14 +46,36 @@ class Phase:
     """When it ended [ns]."""
     first: int
     """Row of the force stream that its first sample is in."""
-    stored: Floats
-    """Forces and torques (n, 6) [N, N m] as they are stored, a part of all rows."""
+    count: int
+    """Number n of its samples."""
     offset: Floats
-    """Those of the point's reference (6,)."""
-    depth: Floats
-    """Indentation (n,) [m]; NaN without an arm or a contact frame."""
-    place: Floats
-    """Places of the tip (m, 3) [m] in the contact frame, at the arm's own rate; may be empty."""
+    """Forces and torques of the point's reference (6,) [N, N m]."""
+    presses: Presses
+    surface: float
+    """Height of the undeformed surface [m]."""
+    moments: Times
+    """Times of the places of the whole run (k,) [ns]."""
+    places: Floats
+    """Places of the tip in the whole run (k, 3) [m], in the contact frame."""
+
+    @property
+    def stored(self) -> Floats:
+        """Forces and torques (n, 6) [N, N m] as they are stored."""
+        return self.presses.values(self.first, self.first + self.count)
+
+    @property
+    def depth(self) -> Floats:
+        """Indentation (n,) [m]; NaN without an arm or a contact frame."""
+        if len(self.moments) < 2 or self.presses.force is None:
+            return np.full(self.count, np.nan)
+        times = self.presses.force.rows("t_ns", slice(self.first, self.first + self.count))[:]
+        height = align.linear(self.moments, self.places[:, 2], times).value
+        return np.asarray(self.surface - height)
+
+    @property
+    def place(self) -> Floats:
+        """Places of the tip (m, 3) [m] in the contact frame, at the arm's rate; may be empty."""
+        return self.places[slice(*np.searchsorted(self.moments, (self.start, self.end)))]
 
     @property
     def wrench(self) -> Floats:
@@ -97,16 +119,16 @@ class Presses:
         """Columns of the forces that the gauge measures."""
         return [axis for axis in self.measured if axis < 3]
 
-    @cached_property
-    def values(self) -> Floats:
-        """All rows of the gauge (n, 6)."""
-        values = np.zeros((0, 6)) if self.force is None else self.force.array("value")
-        return np.asarray(values, np.float64)
+    def values(self, first: int, stop: int) -> Floats:
+        """Return rows [first, stop) of the gauge (n, 6)."""
+        if self.force is None:
+            return np.zeros((0, 6))
+        return np.asarray(self.force.rows("value", slice(first, stop))[:], np.float64)
 
     @cached_property
     def sigma(self) -> Floats:
         """Noise of a sample of each axis (6,) [N, N m], by the median change between two."""
-        change = np.abs(np.diff(self.values[:NOISE_ROWS], axis=0))
+        change = np.abs(np.diff(self.values(0, NOISE_ROWS), axis=0))
         sigma = np.zeros(len(AXES))
         for axis in self.measured:
             known = change[np.isfinite(change[:, axis]), axis]
@@ -170,12 +192,6 @@ class Presses:
             moments, places = self.places(run)
             start, end = int(segments["start_ns"][row]), int(segments["end_ns"][row])
             first, last = np.searchsorted(times, (start, end))
-            begin = int(rows.start or 0) + int(first)
-            depth = np.full(int(last - first), np.nan)
-            near = slice(*np.searchsorted(moments, (start, end)))
-            if len(moments) > 1:
-                height = align.linear(moments, places[:, 2], times[first:last]).value
-                depth = self.height(target) - height
             yield Phase(
                 target,
                 int(segments["phase"][row]),
@@ -183,16 +199,18 @@ class Presses:
                 run,
                 start,
                 end,
-                begin,
-                self.values[begin : begin + int(last - first)],
+                int(rows.start or 0) + int(first),
+                int(last - first),
                 self.offset(run, target, start),
-                depth,
-                places[near],
+                self,
+                self.height(target),
+                moments,
+                places,
             )
 
     def of(self, *codes: int) -> list[Phase]:
         """Return the phases of these codes that have samples."""
-        return [one for one in self.phases if one.code in codes and len(one.stored)]
+        return [one for one in self.phases if one.code in codes and one.count]
 
     def setting(self, *keys: str) -> dict[str, Any]:
         """Return a mapping of the session's attributes, such as that of `bench`, `arm`, or none."""

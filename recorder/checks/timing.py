@@ -7,18 +7,19 @@ such as a surface that is lower than stated, has opposite effects on the two, wh
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recorder.checks.presses import DEEP, DOWN, UP, Phase, Presses
 from recorder.checks.testimony import Testimony, most
-from recorder.session.align import NS, captured
-from recorder.session.columns import Stream
-from recorder.session.uncertainty import time_sigma
+from recorder.session.align import EXPOSURE, NS, captured
+from recorder.session.columns import Stream, StreamPart
+from recorder.session.uncertainty import latency_sigma
 
 Floats = NDArray[np.float64]
+Level = Callable[[int, int], Floats]
 
 # Delays that are tried [s]; time around a phase that is looked at [s]; most samples of a phase, and
 # fewest; and how much of a signal the depth must explain.
@@ -28,23 +29,19 @@ DELAYS, AROUND, MOST, FEWEST, EXPLAINED = np.arange(-0.4, 0.401, 0.01), 0.1, 60,
 SIGMAS, FRAME, SCATTERS = 3.0, 1 / 30, 4.0
 
 
-def timing(presses: Presses, stream: Stream, level: Floats) -> Iterator[Testimony]:
-    """Yield the testimony about the times of a stream whose samples have a level (n,).
+def timing(presses: Presses, stream: Stream, level: Level) -> Iterator[Testimony]:
+    """Yield the testimony about the times of a stream.
 
-    The level is 0 without contact, and rises with the indentation; of one that holds NaN, nothing
-    is said.
+    `level` returns the signal (n,) of rows [first, last): 0 without contact, rising with the
+    indentation; where it is NaN, nothing is said.
     """
     session, name = presses.session, stream.name
-    if not np.isfinite(level).all():
-        return
-    times = captured(stream)
     delays: list[float] = []
     found: list[int] = []
     by_press: dict[tuple[int, int], dict[int, float]] = {}
     for one in presses.phases:
         if one.whole and one.code in (DOWN, UP) and presses.planned("depth", one.target) >= DEEP:
-            rows = session.rows_of_run(name, one.run)
-            delay = _delay(presses, one, times[rows], level[rows])
+            delay = _delay(presses, one, stream, level)
             by_press.setdefault((one.run, one.target), {})[one.code] = delay
     for (_run, target), of_press in by_press.items():
         both = [of_press.get(code, np.nan) for code in (DOWN, UP)]
@@ -53,10 +50,11 @@ def timing(presses: Presses, stream: Stream, level: Floats) -> Iterator[Testimon
             found.append(target)
     if len(delays) < 2:
         return
-    stated = time_sigma(stream, session.rows_of_run(name, 0), session.sources(0).streams[name])
-    limit = SIGMAS * stated.latency + max(1 / stream.rate_hz, FRAME)
-    # An image shows the middle of its exposure; the part of that is it over the root of 12.
-    delays = [delay - np.sqrt(3) * stated.exposure for delay in delays]
+    limit = SIGMAS * latency_sigma(stream)[0] + max(1 / stream.rate_hz, FRAME)
+    if stream.traits.kind == "camera":  # an image shows the middle of its exposure
+        exposure = stream.attrs.get("exposure")
+        exposure = max(1 / stream.rate_hz, EXPOSURE) if exposure is None else float(exposure)
+        delays = [delay - 0.5 * exposure for delay in delays]
     usual = float(np.median(delays))
     apart = np.abs(np.array(delays) - usual)
     single = apart / (limit + SCATTERS * 1.48 * float(np.median(apart)))
@@ -74,31 +72,38 @@ def timing(presses: Presses, stream: Stream, level: Floats) -> Iterator[Testimon
     yield from most(doubt, code, f"streams/{name}", text)
 
 
-def beyond_noise(moved: NDArray[np.floating]) -> Floats:
-    """Return the size of a change (n,) less, in squares, that of the noise without contact."""
+def beyond_noise(moved: NDArray[np.floating]) -> Level:
+    """Return the level by a change (n,), which is less, in squares, that of the noise at rest."""
     noise = np.quantile(moved, 0.02)
-    return np.sqrt(np.maximum(np.square(moved, dtype=np.float64) - noise**2, 0.0))
+    size = np.sqrt(np.maximum(np.square(moved, dtype=np.float64) - noise**2, 0.0))
+    return lambda first, last: size[first:last]
 
 
 def force_timing(presses: Presses) -> Iterator[Testimony]:
     """Times of the gauge beside those of the arm."""
     force, axes = presses.force, presses.forces
     if force is not None and axes:
-        level = -presses.values[:, 2] if 2 in axes else np.abs(presses.values[:, axes]).max(axis=1)
+
+        def level(first: int, last: int) -> Floats:
+            values = presses.values(first, last)
+            return -values[:, 2] if 2 in axes else np.abs(values[:, axes]).max(axis=1)
+
         yield from timing(presses, force, level)
 
 
-def _delay(presses: Presses, one: Phase, times: NDArray[np.int64], level: Floats) -> float:
+def _delay(presses: Presses, one: Phase, stream: Stream, level: Level) -> float:
     """Return the delay of a signal behind the depth in one phase [s]; NaN if it cannot be told."""
     moments, places = presses.places(one.run)
-    around = round(AROUND / NS)
-    first, last = np.searchsorted(times, (one.start - around, one.end + around * (one.code == UP)))
-    rows = np.arange(first, last, max(1, (last - first) // MOST))
-    if len(rows) < FEWEST or len(moments) < 2:
+    of_run, around = presses.session.rows_of_run(stream.name, one.run), round(AROUND / NS)
+    ends = (one.start - around, one.end + around * (one.code == UP))
+    first, last = (of_run.start or 0) + np.searchsorted(stream.t_ns[of_run], ends)
+    if last - first < FEWEST or len(moments) < 2:
         return float("nan")
-    value = level[rows] - level[rows].mean()
+    some = slice(None, None, max(1, (last - first) // MOST))
+    times, value = captured(StreamPart(stream, first, last))[some], level(first, last)[some]
+    value = value - value.mean()
     depth = 1e3 * (presses.height(one.target) - places[:, 2])
-    at = (times[rows] - one.start) * NS - DELAYS[:, None]
+    at = (times - one.start) * NS - DELAYS[:, None]
     inside = np.maximum(np.interp(at, (moments - one.start) * NS, depth), 0.0)
     basis = np.stack([inside, inside**2], axis=-1)
     basis -= basis.mean(axis=1, keepdims=True)

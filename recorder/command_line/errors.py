@@ -54,6 +54,10 @@ def failure(error: BaseException, interrupted: str = "") -> int:
         line, code = "; ".join(filter(None, ["interrupted", interrupted])), EXIT_INTERRUPTED
     else:
         raise error
+    # Names that were typed or read may hold codes that a terminal obeys.
+    line = "".join(
+        each if each.isprintable() or each == "\n" else repr(each)[1:-1] for each in line
+    )
     label, colon, rest = line.partition(":")
     print(paint(label, "fault", sys.stderr) + colon + rest, file=sys.stderr)
     return code

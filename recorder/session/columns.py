@@ -119,6 +119,10 @@ class Stream:
         rest = self._live.journalled[name][max(start - stored, 0) : max(stop - stored, 0)]
         return np.concatenate([rows, rest])
 
+    def rows(self, name: str, rows: slice) -> Rows:
+        """Return some rows of a small column (n, ...), which are read when they are sliced."""
+        return Rows(self, name, *rows.indices(self._rows)[:2])
+
     def arrivals(self, first: int, last: int) -> Arrivals:
         """Return the arrival times of rows [first, last), those of one run, for a search."""
         key = (first, last)
@@ -204,6 +208,42 @@ class Stream:
         if not 0 <= row < self._rows:
             raise SessionError(f"{self.name}: no row {row}, the stream has {self._rows}")
         return row
+
+
+# Rows that are looked at at once.
+BLOCK = 3 << 17
+# Largest column that is read as a whole for some of its rows [bytes].
+_WHOLE = 1 << 24
+
+
+def blocks(count: int) -> Iterator[slice]:
+    """Yield the slices of `count` rows that are looked at at once."""
+    return (slice(first, min(first + BLOCK, count)) for first in range(0, count, BLOCK))
+
+
+class Rows:
+    """Rows [first, last) of a small column, of which only what is sliced is read.
+
+    A column that is small is read as a whole, and kept as by `Stream.array`.
+    """
+
+    def __init__(self, stream: Stream, name: str, first: int, last: int) -> None:
+        """Read nothing yet."""
+        self._stream, self._name, self._first, self._count = stream, name, first, last - first
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return max(self._count, 0)
+
+    def __getitem__(self, rows: slice | int) -> Any:
+        """Return a slice (m, ...), or one row."""
+        if not isinstance(rows, slice):
+            return self[rows : rows + 1 or None][0]
+        first, last = (self._first + end for end in rows.indices(len(self))[:2])
+        layout = self._stream._reader(self._name).layout
+        if len(self._stream) * layout.chunk_bytes <= layout.rows_per_chunk * _WHOLE:
+            return self._stream.array(self._name)[first:last]
+        return self._stream.rows_between(self._name, first, last)
 
 
 class StreamTable(Mapping[str, Array]):

@@ -4,7 +4,7 @@ It is derived from the streams and can be rebuilt at any time; it contains no or
 """
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.session.align import Floats, Times, align_window, quaternion
-from recorder.session.reader import Session
-from recorder.session.uncertainty import row_sigma, sigmas_of
+from recorder.session.reader import Session, sources_near
+from recorder.session.uncertainty import TimeSigma, row_sigma, sigmas_of
 from recorder.spec import PHASES
-from recorder.store.documents import merge_attrs
-from recorder.store.files import sync_directory
 from recorder.store.layout import write_table
 
 Array = np.ndarray[Any, Any]
@@ -38,18 +36,21 @@ UNITS: Mapping[str, tuple[str, str]] = {
     "valid": ("1", "every stream with a role had samples near enough, none of them lost or bad"),
 }
 
+# Ticks that are aligned at once.
+_TICKS = 1 << 11
+
 _BUILDING, _OLD = "frames.building", "frames.old"
 
 
 def write_frames(path: Path, rate_hz: float) -> None:
     """Build the `frames` group of a session with closed streams, replacing an existing one.
 
+    Only `seal` makes it durable.
     After a kill at any point, the group is either complete or absent; the next call rebuilds it.
     """
     building, old, final = path / _BUILDING, path / _OLD, path / "frames"
     remove_leftovers(path)
     session = Session(path)
-    write_table(building, frames_table(session, rate_hz), frame_units(session))
     attrs = {
         "rate_hz": float(rate_hz),
         "phases": list(PHASES),
@@ -59,11 +60,10 @@ def write_frames(path: Path, rate_hz: float) -> None:
             for run in range(max(len(session.runs), 1))
         ],
     }
-    merge_attrs(building, attrs)
+    write_table(building, frames_table(session, rate_hz), frame_units(session), attrs)
     if final.exists():
         final.rename(old)
     building.rename(final)
-    sync_directory(path)
     shutil.rmtree(old, ignore_errors=True)
 
 
@@ -84,13 +84,12 @@ def frames_table(session: Session, rate_hz: float) -> dict[str, Array]:
     to the capture, `<stream>_age`. In a session without targets, such as an imported one, the view
     covers each run from its first sample to its last.
     """
-    parts = [
-        _run_table(session, run, ticks, segment)
-        for run, ticks, segment in session.run_ticks(rate_hz)
-    ]
+    runs = session.run_ticks(rate_hz)
+    parts = [part for run in runs for part in _parts_of_run(session, *run)]
     if not parts:
-        parts = [_run_table(session, 0, np.zeros(0, np.int64), np.zeros(0, np.int64))]
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        parts += _parts_of_run(session, 0, np.zeros(0, np.int64), np.zeros(0, np.int64))
+    # A column is taken out of its parts when it is joined, to need no memory for both.
+    return {name: np.concatenate([part.pop(name) for part in parts]) for name in [*parts[0]]}
 
 
 def in_frame(frame: Floats, poses: Floats) -> Floats:
@@ -134,10 +133,27 @@ def surface_heights(session: Session) -> Floats:
     return np.asarray(height.round(9) + 0.0)
 
 
-def _run_table(
+def _parts_of_run(
     session: Session, run: int, ticks: Times, segment: NDArray[np.int64]
+) -> Iterator[dict[str, Array]]:
+    sigmas, before = sigmas_of(session, run), np.array([-1])
+    for first in range(0, max(len(ticks), 1), _TICKS):
+        here = slice(first, first + _TICKS)
+        table = _part_table(session, run, ticks[here], segment[here], sigmas)
+        row = table["is_duplicate"]  # of the signal
+        table["is_duplicate"] = (row == np.r_[before, row][: len(row)]) & (row >= 0)
+        before = row[-1:]
+        yield table
+
+
+def _part_table(
+    session: Session,
+    run: int,
+    ticks: Times,
+    segment: NDArray[np.int64],
+    sigmas: Mapping[str, TimeSigma],
 ) -> dict[str, Array]:
-    sources = session.sources(run)
+    sources = sources_near(session.run_streams(run), ticks if len(ticks) else np.zeros(1, np.int64))
     rows = align_window(ticks, sources)
     count = len(ticks)
     target = _of_segment(session, "target", segment)
@@ -146,7 +162,7 @@ def _run_table(
         "t_ns": ticks,
         "run": np.full(count, run, np.int16),
         "image": np.full(count, -1, np.int64),
-        "is_duplicate": _repeats(rows.signal_row),
+        "is_duplicate": rows.signal_row,
         "image_age": np.full(count, np.nan) if signal is None else signal.age,
         "wrench": np.full((count, 6), np.nan),
         "pose": np.full((count, 6), np.nan),
@@ -154,7 +170,7 @@ def _run_table(
         "phase": _of_segment(session, "phase", segment),
         "depth": np.full(count, np.nan),
         "skew": rows.skew,
-        "time_sigma": row_sigma(rows, sources.streams, sigmas_of(session, run)),
+        "time_sigma": row_sigma(rows, sources.streams, sigmas),
         "valid": rows.valid,
     }
     for name, column in rows.columns.items():
@@ -204,12 +220,6 @@ def _of_target(values: Array, target: NDArray[np.int32], otherwise: float) -> Ar
     """Return the value of each target; `otherwise` for one that the session does not have."""
     is_known = (target >= 0) & (target < len(values))
     return np.where(is_known, values[np.where(is_known, target, 0)], otherwise)
-
-
-def _repeats(row: NDArray[np.int64]) -> NDArray[np.bool_]:
-    same = np.zeros(len(row), np.bool_)
-    same[1:] = (row[1:] == row[:-1]) & (row[1:] >= 0)
-    return same
 
 
 def _reference_offset(

@@ -9,14 +9,17 @@ declared rate; a median of what arrived would hide that every second sample is m
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.session.columns import Columns, Stream
+from recorder.session.columns import Columns, Rows, Stream, blocks
 
 Times = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -125,11 +128,11 @@ class Losses:
 
 
 def find_losses(
-    t_ns: Times,
+    t_ns: Times | Rows,
     rate_hz: float,
     *,
-    seq: NDArray[np.int64] | None = None,
-    device_t: Floats | None = None,
+    seq: NDArray[np.int64] | Rows | None = None,
+    device_t: Floats | Rows | None = None,
     timed: bool = True,
 ) -> Losses:
     """Find the samples lost in one run of a stream, whose rows arrived at `t_ns` (n,) in order.
@@ -139,21 +142,33 @@ def find_losses(
     """
     if len(t_ns) < 2:
         return Losses.none(SEQUENCE if seq is not None else ARRIVAL if timed else NOTHING)
-    lost, source = _lost(t_ns, rate_hz, seq, device_t, timed)
-    gaps = np.flatnonzero(lost > 0)
-    count = np.minimum(lost[gaps], _MOST).astype(np.int64)
-    return Losses(source, gaps + 1, count, t_ns[gaps], np.maximum(t_ns[gaps + 1], t_ns[gaps]))
+    lost: Floats | None = None
+    if seq is not None:
+        clock = t_ns if timed else device_t
+        span = np.nan if clock is None else float(clock[-1] - clock[0]) * (_NS if timed else 1.0)
+        stride, found = _stride(seq, span, rate_hz), []
+        for part in blocks(len(t_ns) - 1):
+            times, own = (each[part.start : part.stop + 1] for each in (t_ns, seq))
+            lost = _by_number(times, own, stride, rate_hz, timed)
+            if np.isnan(lost).any():  # the other witnesses need the whole run
+                lost = _by_number(t_ns[:], seq[:], stride, rate_hz, timed)
+                break
+            found.append(_gaps(part.start, lost, times))
+        else:
+            return Losses(SEQUENCE, *map(np.concatenate, zip(*found, strict=True)))
+    times = t_ns[:]
+    lost, source = _lost(times, rate_hz, lost, None if device_t is None else device_t[:], timed)
+    return Losses(source, *_gaps(0, lost, times))
 
 
-def numbers(count: int, losses: Losses) -> NDArray[np.int64]:
-    """Return the number of each of `count` rows among all samples that the device sent."""
-    lost = np.zeros(count, np.int64)
-    lost[losses.row] = losses.count
-    return np.arange(count, dtype=np.int64) + np.cumsum(lost)
+def numbers(rows: NDArray[Any], losses: Losses) -> NDArray[np.int64]:
+    """Return the number of each row (n,) among all samples that the device sent."""
+    before = np.concatenate([[0], np.cumsum(losses.count)])
+    return np.asarray(rows + before[np.searchsorted(losses.row, rows, side="right")])
 
 
 def lateness(
-    t_ns: Times, rate_hz: float, losses: Losses, device_t: Floats | None = None
+    t_ns: Times | Rows, rate_hz: float, losses: Losses, device_t: Floats | Rows | None = None
 ) -> tuple[Floats, float]:
     """Return how long each sample (n,) waited longer than the promptest around it (n,) [s].
 
@@ -162,68 +177,106 @@ def lateness(
     """
     if len(t_ns) < 2:
         return np.zeros(len(t_ns)), 0.0
-    arrived = (t_ns - t_ns[0]) * _NS
-    number = numbers(len(t_ns), losses)
-    due = np.asarray(number * _period(arrived, number, rate_hz), np.float64)
-    if device_t is not None and np.isfinite(device_t).all():
-        due = device_t - device_t[0]
-    offset = arrived - due
-    # A step of either clock is no delay: begin again after it.
-    parts = np.split(np.arange(len(offset)), np.flatnonzero(np.diff(due) <= 0) + 1)
-    late, wander = np.zeros(len(offset)), 0.0
+    late, zero, parts = np.empty(len(t_ns)), t_ns[0], list(blocks(len(t_ns)))
     for part in parts:
-        late[part], moved = _above_least(offset[part], due[part])
-        wander = max(wander, moved)
-    return late, wander
+        late[part] = (t_ns[part] - zero) * _NS
+    period = _period(late, partial(numbers, losses=losses), rate_hz)
+    clock = device_t if device_t is not None and _finite(device_t) else None
+
+    def due(first: int, stop: int) -> Floats:
+        if clock is not None:
+            return np.asarray(clock[first:stop] - clock[0])
+        return np.asarray(numbers(np.arange(first, stop), losses) * period)
+
+    steps = []  # of either clock are no delay: begin again after it
+    for part in parts:
+        moments = due(part.start, min(part.stop + 1, len(late)))
+        late[part] -= moments[: part.stop - part.start]
+        steps += (part.start + 1 + np.flatnonzero(np.diff(moments) <= 0)).tolist()
+    wander = [_lift(late, due, *ends) for ends in pairwise([0, *steps, len(late)])]
+    return late, max(wander)
 
 
-def other_rate(t_ns: Times, rate_hz: float, losses: Losses) -> tuple[int, float, float] | None:
+def _finite(values: Floats | Rows) -> bool:
+    return all(np.isfinite(values[part]).all() for part in blocks(len(values)))
+
+
+def other_rate(
+    t_ns: Times | Rows, rate_hz: float, losses: Losses
+) -> tuple[int, float, float] | None:
     """Return where a device ran at another rate than declared: row, duration [s], rate [Hz].
 
     Lost samples count as sent. The longest stretch is returned, None if there is none, or if the
     times run backward.
     """
-    arrived = (t_ns - t_ns[0]) * _NS if len(t_ns) else np.zeros(0)
-    number = numbers(len(t_ns), losses)
-    size = max(round(RATE_WINDOW * rate_hz), 8)
-    if len(t_ns) <= size or np.any(np.diff(t_ns) < 0):
+    count, size = len(t_ns), max(round(RATE_WINDOW * rate_hz), 8)
+    if count <= size or any(
+        np.any(np.diff(t_ns[part.start : part.stop + 1]) < 0) for part in blocks(count)
+    ):
         return None
-    prompt = _prompt(arrived, number / rate_hz)
-    span = prompt[size:] - prompt[:-size]
-    sent = number[size:] - number[:-size]
-    ratio = sent / np.maximum(span * rate_hz, 1e-9)
-    wrong = np.concatenate([[False], np.abs(ratio - 1) > RATE_LIMIT, [False]])
-    edges = np.flatnonzero(np.diff(wrong.astype(np.int8))).reshape(-1, 2)
+    zero = t_ns[0]
+
+    def arrived(first: int, stop: int) -> Floats:
+        return np.asarray((t_ns[first:stop] - zero) * _NS)
+
+    def number(first: int, stop: int) -> NDArray[np.int64]:
+        return numbers(np.arange(first, stop), losses)
+
+    ratio = _promptest(arrived, lambda *ends: number(*ends) / rate_hz, count)
+    wrong = np.zeros(count - size + 2, np.bool_)
+    for part in blocks(count - size):
+        begin, end = ((part.start + more, part.stop + more) for more in (0, size))
+        sent = number(*end) - number(*begin)
+        span = number(*end) / rate_hz + ratio[slice(*end)]
+        span -= number(*begin) / rate_hz + ratio[part]
+        ratio[part] = sent / np.maximum(span * rate_hz, 1e-9)  # no later part needs its delays
+        wrong[1:-1][part] = np.abs(ratio[part] - 1) > RATE_LIMIT
+    edges = np.flatnonzero(np.diff(wrong)).reshape(-1, 2)
     if not len(edges):
         return None
     first, last = max(edges.tolist(), key=lambda edge: edge[1] - edge[0])
+    worst = first + int(np.abs(ratio[first:last] - 1).argmax())
     last = last - 1 + size
-    worst = first + int(np.abs(ratio[first : last + 1 - size] - 1).argmax())
-    return first, float(arrived[last] - arrived[first]), float(ratio[worst] * rate_hz)
+    lasted = arrived(last, last + 1)[0] - arrived(first, first + 1)[0]
+    return first, float(lasted), float(ratio[worst] * rate_hz)
+
+
+def _gaps(first: int, lost: Floats, t_ns: Times) -> tuple[NDArray[np.int64], ...]:
+    """Return the fields of `Losses` after its source, of rows (n,) from row `first` on."""
+    gaps = np.flatnonzero(lost > 0)
+    count = np.minimum(lost[gaps], _MOST).astype(np.int64)
+    return first + gaps + 1, count, t_ns[gaps], np.maximum(t_ns[gaps + 1], t_ns[gaps])
+
+
+def _by_number(
+    t_ns: Times, seq: NDArray[np.int64], stride: int, rate_hz: float, timed: bool
+) -> Floats:
+    """Return the samples lost before each row but the first (n - 1,); NaN if it began again."""
+    step = np.diff(seq)
+    missing = np.maximum(step // stride - 1.0, 0.0)
+    unusable = step < 0
+    if timed:
+        passed = np.diff((t_ns - t_ns[0]) * _NS)
+        unusable |= missing > 2 * rate_hz * (passed + CLOCK_STEP)
+    missing[unusable] = np.nan
+    return missing
 
 
 def _lost(
-    t_ns: Times, rate_hz: float, seq: NDArray[np.int64] | None, device_t: Floats | None, timed: bool
+    t_ns: Times, rate_hz: float, numbered: Floats | None, device_t: Floats | None, timed: bool
 ) -> tuple[Floats, str]:
-    """Return the samples lost before each row but the first (n - 1,), and the witness."""
+    """Return the samples lost before each row but the first (n - 1,), and the witness.
+
+    `numbered` are those by the device's numbers, if it has any.
+    """
     arrived = (t_ns - t_ns[0]) * _NS
     passed = np.diff(arrived)
-    source = NOTHING
-    lost = np.full(len(passed), np.nan)  # where no witness has spoken yet
-    if seq is not None:
-        source = SEQUENCE
-        step = np.diff(seq)
-        span = float(arrived[-1]) if timed else float("nan")
-        if not timed and device_t is not None:
-            span = float(device_t[-1] - device_t[0])
-        missing = np.maximum(step // _stride(seq, span, rate_hz) - 1.0, 0.0)
-        usable = step >= 0  # else the device began to count again
-        if timed:
-            usable &= missing <= 2 * rate_hz * (passed + CLOCK_STEP)
-        lost[usable] = missing[usable]
+    source = NOTHING if numbered is None else SEQUENCE
+    # NaN where no witness has spoken yet.
+    lost = np.full(len(passed), np.nan) if numbered is None else numbered
     silent = np.isnan(lost)
     if silent.any() and device_t is not None and np.isfinite(device_t).sum() > 1:
-        source = source if seq is not None else DEVICE_CLOCK
+        source = source if numbered is not None else DEVICE_CLOCK
         step = np.diff(np.asarray(device_t, np.float64))
         usable = np.isfinite(step) & (step > 0)
         if timed:
@@ -250,7 +303,8 @@ def _by_clock(at: Floats, rate_hz: float, *, delayed: bool) -> Floats:
     for _ in range(3):
         prompt = _prompt(at, np.asarray(rows * period, np.float64)) if delayed else at
         lost = _missing(np.diff(prompt), period)
-        period = _period(at, rows + np.concatenate([[0], np.cumsum(lost)]), rate_hz)
+        number = rows + np.concatenate([[0], np.cumsum(lost)])
+        period = _period(at, number.__getitem__, rate_hz)
     if delayed:
         # Too few samples after the last gaps tell if one was lost, or the next was only late.
         end, before = lost[-_UNSURE:], lost[-4 * _UNSURE : -_UNSURE]
@@ -259,13 +313,17 @@ def _by_clock(at: Floats, rate_hz: float, *, delayed: bool) -> Floats:
     return lost
 
 
-def _stride(seq: NDArray[np.int64], span: float, rate_hz: float) -> int:
+def _stride(seq: NDArray[np.int64] | Rows, span: float, rate_hz: float) -> int:
     """Return the step of the numbers (n,) of consecutive samples.
 
     It is 1, unless all steps have a common divisor and the samples came at the declared rate in
     `span`, from the first to the last [s]; NaN if no clock tells.
     """
-    divisor = int(np.gcd.reduce(np.diff(seq)))
+    divisor = 0
+    for part in blocks(len(seq) - 1):
+        steps = np.diff(seq[part.start : part.stop + 1])
+        if (divisor := int(np.gcd.reduce(steps, initial=divisor))) == 1:
+            return 1
     sent = (int(seq[-1]) - int(seq[0])) / max(divisor, 1)
     if divisor <= 1 or span <= 0:
         return 1
@@ -273,11 +331,11 @@ def _stride(seq: NDArray[np.int64], span: float, rate_hz: float) -> int:
     return 1 if other else divisor
 
 
-def _period(at: Floats, number: NDArray[Any], rate_hz: float) -> float:
+def _period(at: Floats, number: Callable[[Any], NDArray[Any]], rate_hz: float) -> float:
     """Return the period [s]: the declared one, refined within `RATE_TOLERANCE` by what came.
 
     It is measured between the promptest samples of each `HORIZON`. Losses only lengthen it, so the
-    shorter stretches decide.
+    shorter stretches decide. `number` gives the numbers of rows.
     """
     declared = period = 1.0 / rate_hz
     size = max(round(rate_hz * HORIZON), 16)
@@ -285,9 +343,11 @@ def _period(at: Floats, number: NDArray[Any], rate_hz: float) -> float:
         return declared
     starts = np.arange(0, len(at) - size + 1, size)
     for _ in range(2):
-        offset = at - number * period
-        prompt = np.array([start + offset[start : start + size].argmin() for start in starts])
-        steps = np.maximum(np.diff(number[prompt]), 1)
+        prompt = starts + [
+            (at[start : start + size] - number(np.arange(start, start + size)) * period).argmin()
+            for start in starts.tolist()
+        ]
+        steps = np.maximum(np.diff(number(prompt)), 1)
         measured = float(np.quantile(np.diff(at[prompt]) / steps, 0.25))
         low, high = declared * (1 - RATE_TOLERANCE), declared * (1 + RATE_TOLERANCE)
         period = min(max(measured, low), high)
@@ -299,15 +359,32 @@ def _prompt(arrived: Floats, due: Floats) -> Floats:
 
     A sample that was sent on time arrived at the latest when a later one shows it was due.
     """
-    size = max(int(np.searchsorted(due - due[0], HORIZON)), 2)
-    offset = _least_ahead(arrived - due, size)
+    arrived_in, due_in = (lambda first, stop, of=each: of[first:stop] for each in (arrived, due))
+    return np.asarray(due + _promptest(arrived_in, due_in, len(due)))
+
+
+def _promptest(
+    arrived: Callable[[int, int], Floats], due: Callable[[int, int], Floats], count: int
+) -> Floats:
+    """Return how much later than due each of `count` samples came at the least (n,) [s].
+
+    `arrived` and `due` give the times of rows [first, stop) [s].
+    """
+    zero = due(0, 1)[0]
+    size = max(bisect_left(range(count), HORIZON, key=lambda k: due(k, k + 1)[0] - zero), 2)
+    offset = np.empty(count)
+    for part in blocks(count):
+        ends = part.start, min(part.stop + size, count)
+        offset[part] = _least_ahead(arrived(*ends) - due(*ends), size)[: part.stop - part.start]
     # A run that ends while samples still come in a burst has none that shows the rest was on time.
-    tail = int(np.searchsorted(-np.flip(offset - offset[-1]), 1e-9, side="right"))
-    first = len(due) - tail
-    hurried = arrived[-1] - arrived[first] < 0.5 * (due[-1] - due[first])
-    if 0 < first < len(due) - 1 and hurried:
-        offset[first:] = min(offset[first - 1], offset[-1])
-    return np.asarray(due + offset)
+    last = count - 1
+    tail = bisect_right(range(count), 1e-9, key=lambda k: offset[-1] - offset[last - k])
+    first = count - tail
+    if 0 < first < last:
+        came, wanted = (each(last, count) - each(first, first + 1) for each in (arrived, due))
+        if came < 0.5 * wanted:
+            offset[first:] = min(offset[first - 1], offset[-1])
+    return offset
 
 
 def _least_ahead(values: Floats, size: int) -> Floats:
@@ -347,15 +424,18 @@ def _missing(steps: Floats, period: float) -> Floats:
     return lost
 
 
-def _above_least(offset: Floats, due: Floats) -> tuple[Floats, float]:
-    """Return each offset above the least around it (n,) [s], and how far the least moves [s]."""
-    block = np.floor((due - due[0]) / HORIZON).astype(np.int64)
-    starts = np.flatnonzero(np.concatenate([[True], np.diff(block) > 0]))
-    least = np.minimum.reduceat(offset, starts)
+def _lift(late: Floats, due: Callable[[int, int], Floats], first: int, stop: int) -> float:
+    """Lower offsets in rows [first, stop) [s] by the least around each; return how far it moves."""
+    zero, starts = due(first, first + 1)[0], [first]
+    for part in blocks(stop - first - 1):
+        moments = due(first + part.start, first + part.stop + 1)
+        number = np.floor((moments - zero) / HORIZON).astype(np.int64)
+        starts += (first + part.start + 1 + np.flatnonzero(np.diff(number) > 0)).tolist()
+    least = np.minimum.reduceat(late[:stop], starts)
     around = np.minimum(least, np.minimum(np.r_[least[1:], np.inf], np.r_[np.inf, least[:-1]]))
-    sizes = np.diff(np.r_[starts, len(offset)])
-    moved = float(np.quantile(np.abs(np.diff(least)), 0.75)) if len(least) > 1 else 0.0
-    return np.maximum(offset - np.repeat(around, sizes), 0.0), moved
+    for ends, low in zip(pairwise([*starts, stop]), around.tolist(), strict=True):
+        late[slice(*ends)] = np.maximum(late[slice(*ends)] - low, 0.0)
+    return float(np.quantile(np.abs(np.diff(least)), 0.75)) if len(least) > 1 else 0.0
 
 
 # Losses of recorded streams.
@@ -366,7 +446,7 @@ def is_regular(stream: Columns) -> bool:
     return stream.traits.defaults.max_age != math.inf
 
 
-def witnesses(stream: Columns, rows: slice) -> dict[str, Any]:
+def witnesses(stream: Stream, rows: slice) -> dict[str, Any]:
     """Return the arguments `seq` and `device_t` of `find_losses`, as far as they can be trusted.
 
     Attribute `numbering` of a stream, or of its device, is `host` if `seq` was counted at the
@@ -375,19 +455,19 @@ def witnesses(stream: Columns, rows: slice) -> dict[str, Any]:
     arguments: dict[str, Any] = {}
     attrs = {**stream.attrs.get("device", {}), **stream.attrs}
     if "seq" in stream.names and attrs.get("numbering", "device") != "host":
-        arguments["seq"] = stream.array("seq")[rows]
+        arguments["seq"] = stream.rows("seq", rows)
     if "device_t" in stream.names:
-        device_t = np.asarray(stream.array("device_t")[rows], np.float64)
-        if np.isfinite(device_t).any():
+        device_t = stream.rows("device_t", rows)
+        if any(np.isfinite(device_t[part]).any() for part in blocks(len(device_t))):
             arguments["device_t"] = device_t
     return arguments
 
 
-def stream_losses(stream: Columns, rows: slice, *, timed: bool = True) -> Losses:
+def stream_losses(stream: Stream, rows: slice, *, timed: bool = True) -> Losses:
     """Return the losses in some rows of one run; an irregular stream shows none."""
-    t_ns = stream.t_ns[rows]
     if not is_regular(stream):
         return Losses.none(EVENTS)
+    t_ns = stream.rows("t_ns", rows)
     return find_losses(t_ns, stream.rate_hz, timed=timed, **witnesses(stream, rows))
 
 
@@ -463,11 +543,13 @@ def account_of(
     """Return the account of a stream, of its rows and losses of each run."""
     steps, seconds, longest = 0, 0.0, 0.0
     for rows_of_run in rows:
-        t_ns = stream.t_ns[rows_of_run]
+        t_ns = stream.rows("t_ns", rows_of_run)
         if len(t_ns) > 1:
             steps += len(t_ns) - 1
             seconds += max(int(t_ns[-1]) - int(t_ns[0]), 1) * _NS
-            longest = max(longest, float(np.diff(t_ns).max()) * _NS)
+            for part in blocks(len(t_ns) - 1):
+                most = np.diff(t_ns[part.start : part.stop + 1]).max()
+                longest = max(longest, float(most) * _NS)
     rate = steps / seconds if seconds else 0.0
     return Account(len(stream), rate, longest, tuple(runs), by_target)
 

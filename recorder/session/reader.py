@@ -348,7 +348,7 @@ class Session:
         if not self.has_targets:
             for run in range(max(len(self.runs), 1)):
                 ticks = np.zeros(0, np.int64)
-                if span := self.sources(run).span:
+                if span := span_of_run(self.run_streams(run)):
                     ticks = grid(span[0], span[0], span[1] + 1, rate_hz)
                 yield run, ticks, np.full(len(ticks), -1, np.int64)
             return

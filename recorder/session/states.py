@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from recorder.command_line.options import next_command
 from recorder.findings import Finding
-from recorder.session.columns import Stream
+from recorder.session.columns import Stream, blocks
 from recorder.session.reader import Session
 from recorder.spec import AXES
 
@@ -100,17 +100,26 @@ def _slow(session: Session, stream: Stream) -> Iterator[Finding]:
 
 
 def _clipped(stream: Stream) -> Iterator[Finding]:
-    values = np.asarray(stream.array("value"), np.float64)
     measured: Any = stream.attrs.get("axes_measured") or AXES
     axes = [axis for axis, name in enumerate(AXES) if name in measured]
-    for axis, sign in product(axes, (1, -1)):
+    # Largest and least value of each axis, and how often it is there.
+    limits = {key: (-np.inf, 0) for key in product(axes, (1, -1))}
+    for part in blocks(len(stream)):
+        values = np.asarray(stream.rows("value", part)[:], np.float64)
+        for (axis, sign), (most, often) in limits.items():
+            series = sign * values[:, axis]
+            often *= not (top := series.max()) > most
+            most = max(most, top)
+            limits[axis, sign] = most, often + int((series == most).sum())
+    for (axis, sign), (_, often) in limits.items():
+        if not max(CLIPPED_SAMPLES, CLIPPED * stream.rate_hz) <= often < len(stream):
+            continue
+        values = np.asarray(stream.array("value"), np.float64)
         series = sign * values[:, axis]
-        if not len(series) or not np.isfinite(series).all():
+        if not np.isfinite(series).all():
             continue
         at_limit = series == series.max()
         count = int(at_limit.sum())
-        if count < max(CLIPPED_SAMPLES, CLIPPED * stream.rate_hz) or at_limit.all():
-            continue
         following = series[~at_limit].max()
         # All axes at rest are a hold without noise, or frozen.
         varied = len(axes) == 1 or np.ptp(values[at_limit][:, axes], axis=0).any()

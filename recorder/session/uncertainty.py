@@ -12,7 +12,7 @@ four parts, whose squares add up:
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from recorder.command_line.options import next_command
 from recorder.session.align import EXPOSURE, Source, Window
-from recorder.session.columns import Columns
-from recorder.session.loss import is_regular, lateness, witnesses
+from recorder.session.columns import Columns, Stream
+from recorder.session.loss import Losses, is_regular, lateness, witnesses
 from recorder.session.reader import Session
 from recorder.spec import STAMPS
 
@@ -54,9 +54,11 @@ class TimeSigma:
     clock: float
     """Part of the clock [s]."""
     queue: Floats
-    """Part of the waiting of each sample (m,) [s]."""
+    """Part of the waiting of each sample (m,) [s], in the order of their rows."""
     prior: float | None
     """Longest latency assumed [s]; None if it was measured."""
+    first: int
+    """Row of the first sample in its stream."""
 
     @property
     def each(self) -> Floats:
@@ -70,31 +72,32 @@ class TimeSigma:
             "latency_s": self.latency,
             "exposure_s": self.exposure,
             "clock_s": self.clock,
-            "queue_rms_s": float(np.sqrt(np.mean(queue**2))),
+            "queue_rms_s": float(np.sqrt(np.vdot(queue, queue) / len(queue))),
             "queue_longest_s": float(queue.max()),
             "calibrated": self.prior is None,
             **({} if self.prior is None else {"assumed_latency_s": [0.0, self.prior]}),
         }
 
 
-def time_sigma(stream: Columns, rows: slice, source: Source) -> TimeSigma:
-    """Return the uncertainty of the times in one run of a stream, prepared as `source`."""
+def time_sigma(stream: Stream, rows: slice, losses: Losses) -> TimeSigma:
+    """Return the uncertainty of the times in one run of a stream."""
     stamped = stream.traits.clock == "monotonic"
-    latency, prior = _latency(stream)
-    queue, clock = np.zeros(len(source.times)), 0.0
+    latency, prior = latency_sigma(stream)
+    t_ns = stream.rows("t_ns", rows)
+    queue, clock = np.zeros(len(t_ns)), 0.0
     if not stamped and is_regular(stream):
         device_t = witnesses(stream, rows).get("device_t")
-        queue, clock = lateness(stream.t_ns[rows], stream.rate_hz, source.losses, device_t)
-        queue = queue[source.rows - (rows.start or 0)]
+        queue, clock = lateness(t_ns, stream.rate_hz, losses, device_t)
     exposure = 0.0
     if stream.traits.kind == "camera":
-        stated = stream.attrs.get("exposure") is not None
-        exposure = source.exposure if stated else max(1.0 / stream.rate_hz, EXPOSURE)
-        if stamped and not stated:
+        known = stream.attrs.get("exposure")
+        exposure = max(1.0 / stream.rate_hz, EXPOSURE) if known is None else float(known)
+        if stamped and known is None:
             # The end of the exposure lies anywhere from the stamp to a whole exposure after it.
             fraction = STAMPS[stream.traits.stamp]
             latency = float(np.hypot(latency, fraction * exposure / np.sqrt(3.0)))
-    return TimeSigma(latency, exposure / float(np.sqrt(12.0)), clock, queue, prior)
+    exposed = exposure / float(np.sqrt(12.0))
+    return TimeSigma(latency, exposed, clock, queue, prior, rows.start or 0)
 
 
 def row_sigma(
@@ -107,14 +110,13 @@ def row_sigma(
     """
     signal = np.zeros(len(window.t_ns))
     if window.signal is not None:
-        own = parts[window.signal]
-        signal = _at(own.each, sources[window.signal].times, window.capture_ns)
-        signal = np.hypot(signal, own.exposure)
+        signal = _at(parts[window.signal], sources[window.signal], window.capture_ns)
+        signal = np.hypot(signal, parts[window.signal].exposure)
         signal[window.signal_row < 0] = np.nan
     others = np.zeros(len(window.t_ns))
     for name, part in parts.items():
         if name != window.signal and window.streams[name].traits.roles:
-            others = np.fmax(others, _at(part.each, sources[name].times, window.capture_ns))
+            others = np.fmax(others, _at(part, sources[name], window.capture_ns))
     return np.asarray(np.hypot(signal, others))
 
 
@@ -125,8 +127,10 @@ def sigmas_of(session: Session, run: int) -> dict[str, TimeSigma]:
         SessionError: A corrupt column.
     """
     return {
-        name: time_sigma(session.streams[name], session.rows_of_run(name, run), source)
-        for name, source in session.sources(run).streams.items()
+        name: time_sigma(
+            session.streams[name], session.rows_of_run(name, run), session.losses(name, run)
+        )
+        for name in session.columns
     }
 
 
@@ -134,7 +138,7 @@ def uncalibrated(stream: Columns) -> str | None:
     """Return a note for a signal whose latency was not measured; None for any other stream."""
     if "signal" not in stream.traits.roles:
         return None
-    prior = _latency(stream)[1]
+    prior = latency_sigma(stream)[1]
     if prior is None:
         return None
     moment = f" at the {stream.traits.stamp} of exposure" if stream.traits.stamp != "end" else ""
@@ -164,7 +168,7 @@ def time_lines(session: Session) -> list[str]:
     return lines
 
 
-def _latency(stream: Columns) -> tuple[float, float | None]:
+def latency_sigma(stream: Columns) -> tuple[float, float | None]:
     """Return the standard uncertainty of the latency, and the longest assumed; None if measured."""
     period, stamped = 1.0 / stream.rate_hz, stream.traits.clock == "monotonic"
     interval = stream.attrs.get("latency_calibration", {}).get("interval_s")
@@ -176,8 +180,9 @@ def _latency(stream: Columns) -> tuple[float, float | None]:
     return longest / float(np.sqrt(3.0)), longest
 
 
-def _at(values: Floats, times: NDArray[np.int64], moments: NDArray[np.int64]) -> Floats:
-    """Return the larger value (n,) of the samples before and after each moment; NaN without any."""
+def _at(part: TimeSigma, source: Source, moments: NDArray[np.int64]) -> Floats:
+    """Return the larger uncertainty (n,) of the samples before and after each moment, or NaN."""
+    times, values = source.times, replace(part, queue=part.queue[source.rows - part.first]).each
     if not len(values):
         return np.full(len(moments), np.nan)
     after = np.searchsorted(times, moments, side="left")

@@ -80,6 +80,8 @@ class SessionWriter:
             SessionError: `path` exists, or an argument cannot be stored.
         """
         final = Path(path)
+        if not final.name.isprintable():
+            raise SessionError(f"{str(final)!r}: allowed as a name: printable characters alone")
         if final.exists():
             raise SessionError(f"{final}: exists already; resume it or choose another name")
         building = final.with_name(final.name + _CREATING)

@@ -27,7 +27,7 @@ from recorder.store.documents import (
     write_group,
     write_json,
 )
-from recorder.store.files import LOCAL, TEMPORARY, Files, sync_tree
+from recorder.store.files import LOCAL, TEMPORARY, Files
 from recorder.store.records import CRC_BYTES, ends_with_its_crc, packed_crc
 
 Array = np.ndarray[Any, Any]
@@ -539,12 +539,15 @@ def write_table(
     units: Mapping[str, tuple[str, str]],
     attrs: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write a group with an array (n, ...) per column, their `units` and its `attrs`, durably."""
+    """Write a group with an array (n, ...) per column, their `units` and its `attrs`.
+
+    The caller flushes them to the disk.
+    """
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
         raise SessionError(f"{path}: columns of unequal length: {lengths}")
     path.mkdir()
-    write_group(path, {**(attrs or {}), "columns": list(columns)})
+    write_group(path, {**(attrs or {}), "columns": list(columns)}, durable=False)
     for name, values in columns.items():
         column = np.asarray(values)
         dims = ("row", *(f"dim_{axis}" for axis in range(1, column.ndim)))
@@ -566,7 +569,6 @@ def write_table(
             key = layout.shard(number)
             key.parent.mkdir(parents=True, exist_ok=True)
             key.write_bytes(layout.encoded(column[first : first + _CHUNK_ROWS]))
-    sync_tree(path)
 
 
 def table_columns(path: Path, files: Files = LOCAL) -> tuple[str, ...]:

@@ -23,6 +23,7 @@ from recorder.store.documents import (
     json_bytes,
     merge_attrs,
     read_document,
+    read_order,
     write_group,
 )
 from recorder.store.files import (
@@ -35,7 +36,7 @@ from recorder.store.files import (
     replace_file,
     sync_tree,
 )
-from recorder.store.layout import MISSING, StreamLayout
+from recorder.store.layout import MISSING, PARTIAL, StreamLayout
 
 GROUP = "manifest"
 _END = b'"sha256": ""}}'
@@ -244,23 +245,34 @@ def wrong_sizes(session: Path, manifest: Manifest) -> Iterator[str]:
 def wrong_files(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield path and message of each file that is missing, added or changed, without reading data.
 
-    For a session in an open run, only the shards of the closed runs are verified.
+    For a session in an open run, the shards of the closed runs are verified, and that its streams
+    are its own. If that run has a manifest, it was sealed, and its status is not what was sealed:
+    all but the files that sealing writes again is verified, unless a stream is being written.
     """
     present = {str(path.relative_to(session)) for path in files.listed(session)}
     run, is_open = run_of(attrs), attrs["status"] == "recording"
     if is_open:
         matches = (re.fullmatch(rf"{GROUP}/(\d+)/zarr.json", key) for key in present)
-        closed = [int(match[1]) for match in matches if match and int(match[1]) < run]
+        closed = [int(match[1]) for match in matches if match and int(match[1]) <= run]
+        yield from _foreign(files, session, attrs)
+        written = any("journal-" in key or PARTIAL in key for key in present)
+        if not closed or (max(closed) == run and written):
+            closed = [each for each in closed if each < run]
         if not closed:
             return
-        run = max(closed)
+        is_open, run = max(closed) < run, max(closed)
     chain, broken = readable_chain(files, session, run)
     if broken is not None:
         yield GROUP, str(broken)
     if not chain:
         return
     sealed = SealedFiles(files, session, chain[0], is_open)
+    again = re.compile(
+        rf"zarr\.json|frames.*|{GROUP}/zarr\.json" if attrs["status"] == "recording" else ""
+    )
     for key in sorted([] if is_open else chain[0].files):
+        if again.fullmatch(key):
+            continue
         try:
             sealed.read(session / key)
         except FileNotFoundError:
@@ -290,9 +302,22 @@ def wrong_files(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[
         return
     manifests = {str(manifest_path(session, one.run).relative_to(session)) for one in chain}
     for key in sorted(present - {*chain[0].files, *chain[0].shards} - manifests):
-        if broken is not None and key.startswith(f"{GROUP}/"):
+        if again.fullmatch(key) or (broken is not None and key.startswith(f"{GROUP}/")):
             continue
         yield key, f"added after run {run}: the manifest does not name it"
+
+
+def _foreign(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield the streams that neither the session nor a run of it declares."""
+    try:
+        own = {*read_order(session / "streams", files)}.union(
+            *(run["first_row"] for run in attrs["runs"])
+        )
+    except SessionError:  # of damaged metadata, which is named elsewhere
+        return
+    for group in files.groups(session / "streams"):
+        if group.name not in own:
+            yield f"streams/{group.name}", "the session does not declare this stream"
 
 
 def hold(session: Path, attrs: dict[str, Any]) -> None:

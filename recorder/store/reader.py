@@ -217,7 +217,7 @@ class ColumnReader:
 
     def _decoded_chunks(self, numbers: Sequence[int]) -> Iterator[tuple[int, Array]]:
         """Yield chunks of a small column with their rows, in order; fill values included."""
-        many = len(numbers) * self.layout.chunk_bytes > RECENT.limit // 4
+        many = len(numbers) * self.layout.chunk_bytes > RECENT.limit // 64
         cached = {} if many else {number: self._decoded.get(number) for number in numbers}
         missing = [number for number in numbers if cached.get(number) is None]
         fetched = self._verified_chunks(missing)

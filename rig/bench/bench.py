@@ -38,7 +38,7 @@ from rig.core.config import from_si, read_yaml
 from rig.core.driver import Driver
 from rig.core.errors import ConfigError
 from rig.core.geometry import Array, compose, invert, matrix_from_vector, transform
-from rig.core.names import unknown_name
+from rig.core.names import plain_name, unknown_name
 from rig.core.packaged import BENCHES
 from rig.core.samples import latest_dtype
 from rig.core.stream_settings import StreamSettings
@@ -533,7 +533,7 @@ def find_bench(sensor: str, folder: Path = BENCHES_FOLDER, where: str = "--senso
     Searched are `lab/` in the folder, the folder itself, and the packaged mock benches. Errors name
     `where` the name was given.
     """
-    name = f"{sensor}.yaml"
+    name = f"{plain_name(where, sensor)}.yaml"
     for path in (folder / "lab" / name, folder / name, BENCHES / name):
         if path.exists():
             return path
@@ -552,6 +552,8 @@ def with_simulated_world(content: dict[str, Any], where: str) -> dict[str, Any]:
 def bench_from(content: dict[str, Any], where: str) -> Bench:
     """Build a bench from a mapping as read from YAML."""
     bench = READER.build(Bench, content, where)
+    plain_name(f"{where}.sensor", bench.sensor)
+    plain_name(f"{where}.indenter", bench.indenter)
     if float(matrix_from_vector(bench.tool_rotation)[2, 2]) > -_POINTS_INTO_SENSOR:
         degrees = [round(from_si(angle, "deg"), 4) for angle in bench.tool_rotation]
         raise ConfigError(

@@ -16,6 +16,20 @@ def operator_name(named: str) -> str:
         return f"uid {os.getuid()}"
 
 
+def plain_name(where: str, name: str) -> str:
+    """Return a name at an option or key `where` after checking that it is a plain word.
+
+    Raises:
+        ConfigError: Not printable, a path, or like an option.
+    """
+    if not name.isprintable() or not name or name.startswith(("-", ".")) or "/" in name:
+        raise ConfigError(
+            f"{where}: found {name!r}; allowed: printable letters, digits and signs, no / and "
+            "neither - nor . in front"
+        )
+    return name
+
+
 def unknown_name(where: str, found: str, known: Iterable[str], places: str = "") -> ConfigError:
     """Return the error for a name at an option or key `where`; the known ones are in `places`."""
     names = sorted(known)

@@ -712,3 +712,23 @@ def test_sealing_survives_a_kill_before_each_file_operation(tmp_path: Path) -> N
         recover(path)
         assert check(path, quick=True) == []
         assert len(Session(path).streams["force"]) == 500
+
+
+@pytest.mark.parametrize("change", ["status", "stream", "foreign"])
+def test_status_manifest_and_streams_that_disagree_are_named(change: str, tmp_path: Path) -> None:
+    path = make_session(tmp_path / "s.zarr", names=("force", "pose"), seconds=1.2)
+    edit_json(path / "zarr.json", lambda each: each["attributes"].update(status="recording"))
+    if change == "stream":
+        force = path / "streams/force/zarr.json"
+        edit_json(force, lambda each: each["attributes"].update(latency=0.02))
+    if change == "foreign":
+        shutil.rmtree(path / "manifest")
+        shutil.copytree(path / "streams/pose", path / "streams/other")
+    named = {each.where for each in check(path) if each.code == "manifest"}
+    if change == "status":
+        assert not named
+        assert recover(path).status == "recovered"
+        return
+    assert named == {"streams/other" if change == "foreign" else "streams/force/zarr.json"}
+    with pytest.raises(SessionError, match=r"does not declare|differs from the manifest"):
+        recover(path)

@@ -15,8 +15,14 @@ import pytest
 from support.sessions import record_run
 
 from recorder import Session, SessionError, force_spec, taxels_spec
+from recorder.checks.check import check_stream
+from recorder.checks.plausible import statements
+from recorder.session import columns, frames
 from recorder.session.align import align_window
+from recorder.session.frames import frames_table
 from recorder.session.reader import sources_near, span_of_run, ticks_before
+from recorder.session.states import states
+from recorder.session.uncertainty import sigmas_of
 from recorder.store.reader import RECENT, Kept, Recent
 
 
@@ -229,3 +235,54 @@ def test_a_data_loader_over_200_sessions_does_not_grow_after_its_first_epochs(
     peaks = [max(int(item) for item in loader) for _ in range(6)]
     assert peaks[0] > 20 << 20  # measured at all
     assert max(peaks[3:]) < peaks[2] + (3 << 20), [peak >> 20 for peak in peaks]
+
+
+def test_a_long_stream_is_checked_and_aligned_in_parts(
+    uneven: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def results() -> tuple[Any, ...]:
+        RECENT.clear()
+        session = Session(uneven)
+        force = session.streams["force"]
+        found = [*states(session), *check_stream(session, force, None)]
+        found += [str(each) for each in statements(session)]
+        sigmas = [sigmas_of(session, run)["force"].each for run in (0, 1)]
+        return found, frames_table(session, 40.0), sigmas
+
+    whole = results()
+    for module, name, value in (
+        (columns, "BLOCK", 700),
+        (columns, "_WHOLE", 0),
+        (frames, "_TICKS", 32),
+    ):
+        monkeypatch.setattr(module, name, value)
+    parts = results()
+    assert parts[0] == whole[0]
+    assert len(whole[0]) > 3
+    for name, values in whole[1].items():
+        np.testing.assert_array_equal(parts[1][name], values, err_msg=name)
+    for one, other in zip(parts[2], whole[2], strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_check_holds_no_column_of_a_long_stream(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    count = 80_000
+    rows = {"value": np.random.default_rng(3).normal(size=(count, 6)), "seq": np.arange(count)}
+    rows |= {"status": np.zeros(count, int), "t_ns": 10**9 + np.arange(count) * 1_000_000}
+    session = Session(
+        record_run(tmp_path / "s.zarr", {"force": rows}, streams=[force_spec(1000.0)])
+    )
+    for name, value in (("BLOCK", 1000), ("_WHOLE", 0)):
+        monkeypatch.setattr(columns, name, value)
+    monkeypatch.setattr(RECENT, "limit", 1 << 16)
+    RECENT.clear()
+    tracemalloc.start()
+    try:
+        assert not [*states(session), *check_stream(session, session.streams["force"], None)]
+        assert not [one for one in statements(session) if one.doubtful]
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < rows["value"].nbytes

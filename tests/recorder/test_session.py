@@ -39,6 +39,7 @@ from recorder.convert import Options, export
 from recorder.findings import faults
 from recorder.session.frames import in_frame, write_frames
 from recorder.session.reader import grid
+from recorder.store import files
 from recorder.store.reader import Table
 from tests.support.zarr_readers import READERS, reader_of_zarr
 
@@ -476,3 +477,22 @@ def test_a_contact_sheet_counts_targets_from_one(
     targets = np.asarray(Session(path).frames["target"])
     assert numbers == set((np.unique(targets[targets >= 0]) + 1).tolist())
     assert min(numbers) == 1
+
+
+def test_a_session_is_created_and_sealed_with_few_flushes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flushed: list[int] = []
+    monkeypatch.setattr(os, "fsync", flushed.append)
+    monkeypatch.setattr(files, "SYNCFS", lambda fd: flushed.append(fd) or 0)
+    path = make_session(tmp_path / "s.zarr", seconds=0.5, finish=False, change=as_it_is)
+    created = len(flushed)
+    assert created < 120  # three streams were closed as well
+    SessionWriter(path).finish("complete", rate_hz=40)
+    assert len(flushed) - created < 40
+
+
+def test_a_session_has_a_printable_name(tmp_path: Path) -> None:
+    with pytest.raises(SessionError, match=r"a.nb.*allowed as a name"):
+        SessionWriter.create(tmp_path / "a\nb.zarr", attrs={}, streams=[], targets={})
+    assert not list(tmp_path.iterdir())

@@ -10,7 +10,7 @@ import pytest
 
 from rig.acquire import streams as preflight
 from rig.bench.bench import Bench, BenchFile, find_bench
-from rig.core.errors import DeviceLost, SafetyStop
+from rig.core.errors import ConfigError, DeviceLost, SafetyStop
 from rig.core.geometry import compose
 from rig.core.packaged import BENCHES
 from rig.core.samples import POSE_LATEST
@@ -139,3 +139,9 @@ def test_an_axis_that_is_not_measured_needs_no_tare() -> None:
     std[2] = 0.3
     with pytest.raises(DeviceLost, match=r"Fz spreads by 0\.300 N"):
         preflight.take_tares(axis)
+
+
+@pytest.mark.parametrize("name", ["a\nb", "a\x1b[31m", "../tacpalm", "-a", ""])
+def test_a_sensor_is_a_plain_word(name: str) -> None:
+    with pytest.raises(ConfigError, match=r"--sensor: found .*; allowed: printable letters"):
+        find_bench(name)
