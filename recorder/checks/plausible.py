@@ -82,7 +82,7 @@ def _where(presses: Presses, column: str = "value") -> str:
 
 def impossible(presses: Presses) -> Iterator[Testimony]:
     """Values that no gauge of this rating sends."""
-    if not len(presses.values):
+    if not len(presses.values) or not presses.measured:
         return
     limits = presses.setting("bench", "limits")
     limit = np.repeat(IMPOSSIBLE, 3)
