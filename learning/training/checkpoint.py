@@ -72,7 +72,14 @@ def read_plain(path: Path) -> Any:
         return read_weights(path)
     try:
         return torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError, OSError) as error:
+    except (
+        pickle.UnpicklingError,
+        RuntimeError,
+        EOFError,
+        LookupError,
+        ValueError,
+        OSError,
+    ) as error:
         raise LearningError(f"{path}: is no file of weights: {first_line(error)}") from error
 
 

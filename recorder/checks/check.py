@@ -175,9 +175,10 @@ def _check_table(files: Files, session: Path, name: str) -> Iterator[Finding]:
             yield Finding("metadata", column_path, f"not a column of a table: {error!r}")
             continue
         lengths[group.name] = shape[0]
-        keys = (group.joinpath("c", *map(str, indices)) for indices in product(*counts))
         # One more than the files that exist: at least one of them is missing then.
-        some = list(islice(keys, len(there) + 1))
+        most = len(there) + 1
+        indices = islice(product(*(count[:most] for count in counts)), most)
+        some = [group.joinpath("c", *map(str, index)) for index in indices]
         missing = [key for key in some if key not in there]
         if missing:
             more = math.prod(map(len, counts)) - len(some) + len(missing)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -19,8 +20,8 @@ from recorder.session.columns import Stream
 Floats = NDArray[np.floating]
 
 # Factor by which pictures are made smaller before they are looked at, if that leaves enough pixels
-# along each side; fewest of these; and pictures that are held at once.
-SMALLER, FEWEST, HELD = 8, 8, 256
+# along each side; fewest of these; and pictures that are held at once, and about their pixels.
+SMALLER, FEWEST, HELD, HELD_PIXELS = 8, 8, 256, 1 << 23
 # Contrast over the usual one below which a picture is dark; and contrast and mean, in grey levels.
 DARK, DARKEST, BLACK = 0.3, 2.0, 30.0
 # How much better a turned picture agrees with the reference (correlation) than as it is.
@@ -109,8 +110,9 @@ def _looked(stream: Stream, reference_rows: list[int]) -> Looked:
     turns = [] if reference is None else [turn(reference) for turn in TURNS.values()]
     parts: dict[str, list[Floats]] = {name: [] for name in Looked.__dataclass_fields__}
     before = np.zeros((0, *_size(stream)), np.float32)
-    for first in range(0, len(stream), HELD):
-        some = smaller(stream, range(first, min(first + HELD, len(stream))), broken)
+    held = min(HELD, 4 + HELD_PIXELS // math.prod(_size(stream)))
+    for first in range(0, len(stream), held):
+        some = smaller(stream, range(first, min(first + held, len(stream))), broken)
         parts["contrast"].append(some.std(axis=(1, 2)))
         parts["level"].append(some.mean(axis=(1, 2)))
         parts["as_is"].append(_agreement(some, reference))
@@ -149,11 +151,13 @@ def smaller(stream: Stream, rows: Sequence[int], broken: dict[int, str]) -> Floa
     height, width = _size(stream)
     small = np.zeros((len(rows), height, width), np.float32)
     if stream.jpeg_shape is None:
-        some = stream.images(np.asarray(rows))
-        factor = some.shape[1] // height
-        some = some[:, : height * factor, : width * factor]
-        shape = len(some), height, factor, width, factor * some.shape[3]
-        return np.asarray(some.reshape(shape).mean(axis=(2, 4)), np.float32)
+        for k, row in enumerate(rows):
+            (image,) = stream.images([row])
+            factor = len(image) // height
+            image = image[: height * factor, : width * factor]
+            shape = height, factor, width, factor * image.shape[2]
+            small[k] = image.reshape(shape).mean(axis=(1, 3))
+        return small
     good = 0
     for k, (row, data) in enumerate(zip(rows, stream.jpegs(rows), strict=True)):
         try:

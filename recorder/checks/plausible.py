@@ -85,7 +85,7 @@ def _where(presses: Presses, column: str = "value") -> str:
 
 def impossible(presses: Presses) -> Iterator[Testimony]:
     """Values that no gauge of this rating sends."""
-    if presses.force is None or not len(presses.force):
+    if presses.force is None or not len(presses.force) or not presses.measured:
         return
     limit = largest(presses.force)
     axes, worst = list(presses.measured), (-1.0, 0, 0)

@@ -35,7 +35,7 @@ def timing(presses: Presses, stream: Stream, level: Level) -> Iterator[Testimony
     `level` returns the signal (n,) of rows [first, last): 0 without contact, rising with the
     indentation; where it is NaN, nothing is said.
     """
-    session, name = presses.session, stream.name
+    name = stream.name
     delays: list[float] = []
     found: list[int] = []
     by_press: dict[tuple[int, int], dict[int, float]] = {}

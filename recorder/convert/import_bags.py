@@ -8,13 +8,14 @@ import json
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from recorder.convert.import_numbers import numbers_of
+from recorder.convert.import_numbers import numbers_of, require_size
 from recorder.convert.import_tracks import (
     Answers,
     As,
@@ -24,26 +25,36 @@ from recorder.convert.import_tracks import (
     Take,
     kind_of_name,
     named,
-    require_advance,
+    problems,
+    whole_ns,
 )
-from recorder.convert.import_video import JPEG, film_of_pictures, pixels_of_picture, size_of_picture
+from recorder.convert.import_video import (
+    JPEG,
+    Size,
+    film_of_pictures,
+    pixels_of_picture,
+    require_pixels,
+    size_of_picture,
+)
 from recorder.errors import SessionError
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 
-# Channels and bytes of a pixel by encoding, and their order as indices of red, green and blue.
+# Channels of a pixel by encoding, bits of each, and their order as indices of red, green and blue.
 _ENCODINGS = {
-    "rgb8": (3, (0, 1, 2)),
-    "bgr8": (3, (2, 1, 0)),
-    "8UC3": (3, (2, 1, 0)),
-    "rgba8": (4, (0, 1, 2)),
-    "bgra8": (4, (2, 1, 0)),
-    "mono8": (1, (0, 0, 0)),
-    "8UC1": (1, (0, 0, 0)),
+    "rgb8": (3, 8, (0, 1, 2)),
+    "bgr8": (3, 8, (2, 1, 0)),
+    "8UC3": (3, 8, (2, 1, 0)),
+    "rgba8": (4, 8, (0, 1, 2)),
+    "bgra8": (4, 8, (2, 1, 0)),
+    "mono8": (1, 8, (0, 0, 0)),
+    "8UC1": (1, 8, (0, 0, 0)),
+    "mono16": (1, 16, (0, 0, 0)),
+    "rgb16": (3, 16, (0, 1, 2)),
+    "bgr16": (3, 16, (2, 1, 0)),
 }
 # Names of a stamp's whole seconds and of its nanoseconds.
 _STAMPS = (("sec", "nanosec"), ("sec", "nsec"), ("seconds", "nanos"), ("secs", "nsecs"))
-_SUPPORT = "pip install 'tactile-rig[export]'"
 
 
 @dataclass(slots=True)
@@ -80,32 +91,33 @@ def read_bag(path: Path, answers: Answers) -> Take:
         entry.t_ns.append(log_ns if stamp is None else stamp)
         if kind == "video":
             entry.jpeg = entry.jpeg and isinstance(value, bytes) and value[:2] == JPEG
-            size = size_of_picture("image", value) if isinstance(value, bytes) else None
-            entry.values.append(size or (int(value.height), int(value.width)))
+            entry.values.append(_size(f"{path.name}:{topic}: image", value))
         else:
             entry.values.append(value)
     if not topics:
         raise SessionError(f"{path.name}: found no topic with images, forces, taxels or numbers")
     start = min(min(entry.t_ns) for entry in topics.values())
     tracks, assumed = [], [f"{path.name}: {topic}: {why}" for topic, why in left_out.items()]
-    for topic, entry in sorted(topics.items(), key=lambda item: item[1].kind != "video"):
-        t_ns = np.array(entry.t_ns, np.int64) - start
-        source = f"{path.name}:{topic}"
-        require_advance(t_ns, f"{source}: message", 1)
-        if entry.unstamped:
-            assumed.append(f"{source}: {entry.unstamped} messages without a stamp: log time")
-        if entry.kind == "video":
-            content: Content = _film(path, topic, source, entry, t_ns)
-        else:
-            sizes = {np.size(value) for value in entry.values}
-            if len(sizes) > 1:
-                raise SessionError(f"{source}: found messages of {sorted(sizes)} numbers")
-            if entry.kind == "force" and answers.units is None:
-                # The messages' definitions state newton and newton metre.
-                answers = replace(answers, units="N", torque_units="N m")
-            values = np.array(entry.values, np.float64)
-            content = numbers_of(source, values, t_ns, entry.kind, answers)
-        tracks.append(RecordedTrack("", entry.kind, content, source, path.name))
+    with problems() as part:
+        for topic, entry in sorted(topics.items(), key=lambda item: item[1].kind != "video"):
+            source = f"{path.name}:{topic}"
+            if entry.unstamped:
+                assumed.append(f"{source}: {entry.unstamped} messages without a stamp: log time")
+            with part(source):
+                times = np.array([t_ns - start for t_ns in entry.t_ns], np.float64)
+                t_ns = whole_ns(times, f"{source}: message", 0)
+                if entry.kind == "video":
+                    content: Content = _film(path, topic, source, entry, t_ns)
+                else:
+                    sizes = {np.size(value) for value in entry.values}
+                    if len(sizes) > 1:
+                        raise SessionError(f"{source}: found messages of {sorted(sizes)} numbers")
+                    if entry.kind == "force" and answers.units is None:
+                        # The messages' definitions state newton and newton metre.
+                        answers = replace(answers, units="N", torque_units="N m")
+                    values = np.array(entry.values, np.float64)
+                    content = numbers_of(source, values, t_ns, entry.kind, answers)
+                tracks.append(RecordedTrack("", entry.kind, content, source, path.name))
     return Take(path.stem, named(tracks), (path,), tuple(assumed))
 
 
@@ -125,61 +137,53 @@ def _messages(path: Path, only: str | None = None) -> Iterator[tuple[str, str, i
     if path.is_file() and path.suffix == ".mcap":
         yield from _mcap(path, only)
         return
-    try:
-        from rosbags.highlevel import AnyReader, AnyReaderError
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise SessionError(f"{path.name}: reading rosbags takes rosbags: {_SUPPORT}") from None
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
     folder = path.parent if path.suffix == ".db3" else path
-    try:
-        # Older rosbags 2 hold no definitions of their messages.
-        store = get_typestore(Stores.ROS2_HUMBLE)
-        with AnyReader([folder], default_typestore=store) as reader:
-            connections = [each for each in reader.connections if only in (None, each.topic)]
-            for connection, t_ns, data in reader.messages(connections=connections):
-                message = reader.deserialize(data, connection.msgtype)
-                yield connection.topic, connection.msgtype, int(t_ns), message
-    except AnyReaderError as error:
-        raise SessionError(f"{path.name}: no rosbag that can be read: {error}") from error
+    # Older rosbags 2 hold no definitions of their messages.
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with AnyReader([folder], default_typestore=store) as reader:
+        connections = [each for each in reader.connections if only in (None, each.topic)]
+        for connection, t_ns, data in reader.messages(connections=connections):
+            message = reader.deserialize(data, connection.msgtype)
+            yield connection.topic, connection.msgtype, int(t_ns), message
 
 
 def _mcap(path: Path, only: str | None) -> Iterator[tuple[str, str, int, Any]]:
-    try:
-        from mcap.exceptions import McapError
-        from mcap.reader import make_reader
-        from mcap_protobuf.decoder import DecoderFactory
-    except ImportError:
-        raise SessionError(f"{path.name}: reading MCAP takes mcap: {_SUPPORT}") from None
-    protobuf = DecoderFactory()
+    from mcap.reader import make_reader
+    from mcap_protobuf.decoder import DecoderFactory
+
+    protobuf, read = DecoderFactory(), 0
     decoders: dict[int, Callable[[bytes], Any] | None] = {}
-    try:
-        with path.open("rb") as file:
-            reader = make_reader(file)
-            for schema, channel, message in reader.iter_messages(
-                topics=None if only is None else only
-            ):
-                if channel.id not in decoders:
-                    decoders[channel.id] = (
-                        _json
-                        if channel.message_encoding == "json"
-                        else _ros(path, channel.message_encoding, schema)
-                        if channel.message_encoding in ("cdr", "ros1")
-                        else protobuf.decoder_for(channel.message_encoding, schema)
-                    )
-                decode = decoders[channel.id]
-                content = SimpleNamespace() if decode is None else decode(message.data)
-                name = schema.name if schema is not None else channel.message_encoding
-                yield channel.topic, name, int(message.log_time), content
-    except McapError as error:
-        raise SessionError(f"{path.name}: no whole MCAP file: {error}") from error
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        for chunk in summary.chunk_indexes if summary else ():
+            require_size(path, chunk.uncompressed_size)
+        for schema, channel, message in reader.iter_messages(topics=only):
+            read += 1
+            if channel.id not in decoders:
+                decoders[channel.id] = (
+                    partial(json.loads, object_hook=lambda entry: SimpleNamespace(**entry))
+                    if channel.message_encoding == "json"
+                    else _ros(channel.message_encoding, schema)
+                    if channel.message_encoding in ("cdr", "ros1")
+                    else protobuf.decoder_for(channel.message_encoding, schema)
+                )
+            decode = decoders[channel.id]
+            content = SimpleNamespace() if decode is None else decode(message.data)
+            name = schema.name if schema is not None else channel.message_encoding
+            yield channel.topic, name, int(message.log_time), content
+    counted = summary.statistics if summary and only is None else None
+    if counted and counted.message_count != read:
+        raise SessionError(f"{path.name}: found {read} of {counted.message_count} messages")
 
 
-def _ros(path: Path, encoding: str, schema: Any) -> Callable[[bytes], Any] | None:
+def _ros(encoding: str, schema: Any) -> Callable[[bytes], Any] | None:
     """Return the decoder of a ROS message by its definition in the file."""
-    try:
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-    except ImportError:
-        raise SessionError(f"{path.name}: reading ROS messages takes rosbags: {_SUPPORT}") from None
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
     if schema is None or schema.encoding not in ("ros2msg", "ros1msg"):
         return None
     store = get_typestore(Stores.EMPTY if encoding == "ros1" else Stores.ROS2_HUMBLE)
@@ -188,10 +192,6 @@ def _ros(path: Path, encoding: str, schema: Any) -> Callable[[bytes], Any] | Non
         store.register(get_types_from_msg(schema.data.decode(), name))
     read = store.deserialize_ros1 if encoding == "ros1" else store.deserialize_cdr
     return lambda data: read(data, name)
-
-
-def _json(data: bytes) -> Any:
-    return json.loads(data, object_hook=lambda entry: SimpleNamespace(**entry))
 
 
 def _sample(message: Any) -> tuple[As, Any] | None:
@@ -252,19 +252,29 @@ def _stamp(message: Any) -> int | None:
     return None
 
 
-def _pixels(value: Any) -> Any:
-    """Return an image message as pixels (h, w, 3) uint8, RGB."""
+def _size(where: str, value: Any) -> Size:
+    """Return the size of an image message, which must be one that can be read."""
     if isinstance(value, bytes):
-        return pixels_of_picture("image", value)
+        return size_of_picture(where, value)
     if value.encoding not in _ENCODINGS:
         raise SessionError(
-            f"image: found encoding {value.encoding!r}; allowed: {', '.join(_ENCODINGS)}"
+            f"{where}: found encoding {value.encoding!r}; allowed: {', '.join(_ENCODINGS)}"
         )
-    channels, order = _ENCODINGS[value.encoding]
-    rows = np.frombuffer(bytes(value.data), np.uint8)
-    step = int(value.step) or int(value.width) * channels
-    if rows.size < step * value.height:
-        raise SessionError(f"image: found {rows.size} bytes; expected {step * value.height}")
-    rows = rows[: step * value.height].reshape(value.height, step)[:, : value.width * channels]
-    pixels = rows.reshape(value.height, value.width, channels)[..., list(order)]
-    return np.ascontiguousarray(pixels)
+    channels, bits, _ = _ENCODINGS[value.encoding]
+    require_pixels(where, value.height, value.width)
+    if len(value.data) < value.height * max(value.step, value.width * channels * bits // 8):
+        raise SessionError(f"{where}: found {len(value.data)} bytes, too few for its size")
+    return value.height, value.width, bits
+
+
+def _pixels(value: Any) -> Any:
+    """Return an image message as pixels (h, w, 3) uint8 or uint16, RGB."""
+    if isinstance(value, bytes):
+        return pixels_of_picture("image", value)
+    channels, bits, order = _ENCODINGS[value.encoding]
+    used = value.width * channels * bits // 8
+    step = max(value.step, used)
+    rows = np.frombuffer(bytes(value.data), np.uint8, step * value.height).reshape(-1, step)
+    kind = f"{'>' if getattr(value, 'is_bigendian', 0) else '<'}u{bits // 8}"
+    pixels = np.ascontiguousarray(rows[:, :used]).view(kind).reshape(*rows.shape[:1], -1, channels)
+    return np.ascontiguousarray(pixels[..., list(order)], f"u{bits // 8}")

@@ -1,6 +1,7 @@
 """Find out what files and folders hold, and which of them are one recording."""
 
 import json
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +28,7 @@ from recorder.convert.import_tracks import (
     As,
     MissingAnswer,
     Numbers,
+    Part,
     RecordedTrack,
     Take,
     Times,
@@ -34,13 +36,14 @@ from recorder.convert.import_tracks import (
     every,
     named,
     option_flag,
+    problems,
     rate_of,
     rate_option,
-    require_advance,
+    whole_ns,
 )
 from recorder.convert.import_video import IMAGE_SUFFIXES, open_film
 from recorder.errors import SessionError
-from recorder.natural_order import natural_key
+from recorder.natural_order import naturally_sorted
 from recorder.spec import AXES
 
 VIDEO_SUFFIXES = (".avi", ".mp4", ".m4v", ".mkv", ".mov", ".webm", ".mpg", ".mpeg")
@@ -57,43 +60,43 @@ def find_takes(
     takes: list[Take] = []
     groups: dict[str, list[_File]] = {}
     left_out: list[str] = []
-    for path in _leaves(paths):
-        if _is_bag(path):
-            takes.append(import_bags.read_bag(path, answers))
-            continue
-        if _is_lerobot(path):
-            try:
+    with problems() as part:
+        for path in _leaves(paths):
+            if _is_bag(path):
+                with part(path.name):
+                    takes.append(import_bags.read_bag(path, answers))
+                continue
+            if _is_lerobot(path):
                 from recorder.convert.lerobot_format import read_lerobot
-            except ImportError:
-                raise SessionError(
-                    f"{path.name}: reading LeRobot takes pyarrow: pip install 'tactile-rig[export]'"
-                ) from None
-            takes += read_lerobot(path, answers)
-            continue
-        kind = answers.kind(path.name)
-        if kind == "skip":
-            left_out.append(f"{path.name}: left out as stated")
-            continue
-        suffix = path.suffix.lower()
-        is_recording = _is_film(path) or suffix in (".npy", ".npz", ".csv", *LOG_SUFFIXES)
-        if not is_recording or (suffix in LOG_SUFFIXES and not _is_uskin_log(path)):
-            left_out.append(f"{path.name}: left out, no recording that is known")
-            continue
-        name = bare_name(_stem(path)) or path.parent.name or "recording"
-        groups.setdefault(name, []).append(("video" if _is_film(path) else kind, "", path))
-    if len(groups) == 2:
-        # One video and files of numbers are one recording, whatever their names.
-        one, other = sorted(groups, key=lambda name: not any(map(_is_video, groups[name])))
-        kinds = [kind for kind, _, _ in groups[one]]
-        if kinds == ["video"] and not any(map(_is_video, groups[other])):
-            groups = {one: groups[one] + groups[other]}
-    if stated:
-        stem = _stem(next(filter(_is_video, stated), stated[0])[2])
-        groups.setdefault(bare_name(stem) or stem, []).extend(stated)
-    takes += [_take(name, group, answers) for name, group in groups.items()]
+
+                with part(path.name):
+                    takes += read_lerobot(path, answers)
+                continue
+            kind = answers.kind(path.name)
+            if kind == "skip":
+                left_out.append(f"{path.name}: left out as stated")
+                continue
+            suffix = path.suffix.lower()
+            is_recording = _is_film(path) or suffix in (".npy", ".npz", ".csv", *LOG_SUFFIXES)
+            if not is_recording or (suffix in LOG_SUFFIXES and not _is_uskin_log(path)):
+                left_out.append(f"{path.name}: left out, no recording that is known")
+                continue
+            name = bare_name(_stem(path)) or path.parent.name or "recording"
+            groups.setdefault(name, []).append(("video" if _is_film(path) else kind, "", path))
+        if len(groups) == 2:
+            # One video and files of numbers are one recording, whatever their names.
+            one, other = sorted(groups, key=lambda name: not any(map(_is_video, groups[name])))
+            kinds = [kind for kind, _, _ in groups[one]]
+            if kinds == ["video"] and not any(map(_is_video, groups[other])):
+                groups = {one: groups[one] + groups[other]}
+        if stated:
+            stem = _stem(next(filter(_is_video, stated), stated[0])[2])
+            groups.setdefault(bare_name(stem) or stem, []).extend(stated)
+        for name, group in groups.items():
+            takes.append(_take(name, group, answers, part))
     if not takes:
         raise SessionError(f"found nothing to import: {'; '.join(left_out) or 'no file'}")
-    takes.sort(key=lambda take: natural_key(take.name))
+    takes = naturally_sorted(takes, lambda take: take.name)
     if left_out:
         takes[0] = replace(takes[0], assumed=(*takes[0].assumed, *left_out))
     return takes
@@ -116,7 +119,9 @@ def _leaves(paths: Sequence[Path]) -> Iterator[Path]:
             yield path
             continue
         inside = [each for each in path.iterdir() if not each.name.startswith(".")]
-        yield from _leaves(sorted(inside, key=lambda each: natural_key(each.name)))
+        if links := [each for each in inside if each.is_symlink() and each.is_dir()]:
+            raise SessionError(f"{links[0]}: found a link to a folder; name that folder instead")
+        yield from _leaves(naturally_sorted(inside, lambda each: each.name))
 
 
 def _is_whole(path: Path) -> bool:
@@ -140,22 +145,23 @@ def _is_film(path: Path) -> bool:
 
 def _is_uskin_log(path: Path) -> bool:
     with path.open(encoding="utf-8", errors="replace") as file:
-        return _scan(file.readline()) is not None
+        return _scan(file.readline(1 << 16)) is not None
 
 
-def _take(name: str, files: Sequence[_File], answers: Answers) -> Take:
+def _take(name: str, files: Sequence[_File], answers: Answers, part: Part) -> Take:
     """Return the recording of some files; numbers may have the times of its videos."""
     tracks: list[RecordedTrack] = []
     files = sorted(files, key=lambda file: not _is_video(file))
     for stated, stream, path in files:
-        if stated == "video":
-            rate = answers.rate("video", stream)
-            film = open_film(path, rate, stills=answers.stills and path.is_dir())
-            tracks.append(RecordedTrack(stream, "video", film, path.name, path.name))
-        elif path.is_file():
-            tracks += _numbers(path, stated, stream, tracks, answers)
-        else:
-            raise SessionError(f"{path}: no such file")
+        with part(path.name):
+            if stated == "video":
+                rate = answers.rate("video", stream)
+                film = open_film(path, rate, stills=answers.stills and path.is_dir())
+                tracks.append(RecordedTrack(stream, "video", film, path.name, path.name))
+            elif path.is_file():
+                tracks += _numbers(path, stated, stream, tracks, answers)
+            else:
+                raise SessionError(f"{path}: no such file")
     return Take(name, named(tracks), tuple(path for _, _, path in files))
 
 
@@ -222,7 +228,7 @@ def _csv(
 ) -> Iterator[RecordedTrack]:
     name, lines = path.name, read_lines(path)
     if len(lines[0]) == 48:
-        header = not _is_number(lines[0][0])
+        header = re.fullmatch(r"[-+.\deE\s]+", lines[0][0]) is None
         rows = read_rows(name, lines, list(range(48)), int(header))
         yield _array(name, rows, "taxels", stream, films, answers)
         return
@@ -253,14 +259,6 @@ def _csv(
         raise SessionError(f"{name}: found part of a pose; {', '.join(missing)} missing")
 
 
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
 # Logs of XELA's server: one message of JSON a line, as it sends them.
 
 
@@ -271,10 +269,10 @@ def _scan(line: str) -> tuple[float | None, list[int]] | None:
         sensor = message["1"]
         fields = str(sensor["data"]).split(",")
         counts = [int(field, 16) for field in fields]
-    except (ValueError, KeyError, TypeError):
+        time = next((each.get("time") for each in (sensor, message) if each.get("time")), None)
+        stamp = float(time) if isinstance(time, int | float) else None
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
         return None
-    time = next((each.get("time") for each in (sensor, message) if each.get("time")), None)
-    stamp = float(time) if isinstance(time, int | float) else None
     return (stamp, counts) if len(counts) == 48 else None
 
 
@@ -289,6 +287,5 @@ def _uskin_log(path: Path) -> tuple[NDArray[np.float64], Times]:
             raise SessionError(f"{path.name}: line {number}: no scan of 16 taxels with its time")
         stamps.append(scan[0])
         rows.append(scan[1])
-    times = np.round(1e9 * (np.array(stamps) - stamps[0])).astype(np.int64)
-    require_advance(times, f"{path.name}: line", 2)
+    times = whole_ns(1e9 * (np.array(stamps) - stamps[0]), f"{path.name}: line", 2)
     return np.array(rows, np.float64).reshape(-1, 16, 3), times

@@ -10,7 +10,6 @@ import csv
 import math
 import re
 import zipfile
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -32,7 +31,7 @@ from recorder.convert.import_tracks import (
     kind_of_name,
     option_flag,
     rate_of,
-    require_advance,
+    whole_ns,
 )
 from recorder.errors import SessionError
 from recorder.session.align import rotation_vector
@@ -92,18 +91,30 @@ def kind_of_array(shape: tuple[int, ...], name: str) -> As | None:
     return "taxels" if shape[1:] in _TAXELS else None
 
 
+# Content of a small file, and largest factor of compression of a large one.
+_CONTENT, _COMPRESSED = 1 << 26, 20
+
+
+def require_size(path: Path, nbytes: int) -> None:
+    """Refuse a file whose content would fill the memory although the file is small."""
+    allowed = _CONTENT + _COMPRESSED * path.stat().st_size
+    if nbytes > allowed:
+        raise SessionError(f"{path.name}: holds {nbytes} bytes; allowed in its size: {allowed}")
+
+
 def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """Return the numbers of an .npy or .npz file by source: the file, and in an .npz the array."""
-    try:
-        content = np.load(path, allow_pickle=False)
-        if isinstance(content, np.ndarray):
-            arrays = {path.name: content}
-        else:
-            with content:
-                arrays = {f"{path.name}:{name}": content[name] for name in content.files}
-    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        suffix = path.suffix.lower()
-        raise SessionError(f"{path.name}: no whole {suffix} file of numbers: {error}") from error
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as file:
+            require_size(path, sum(member.file_size for member in file.infolist()))
+            if not file.namelist() or len(set(file.namelist())) < len(file.namelist()):
+                raise SessionError(f"{path.name}: found no array, or two of one name")
+    content = np.load(path, allow_pickle=False)
+    if isinstance(content, np.ndarray):
+        arrays = {path.name: content}
+    else:
+        with content:
+            arrays = {f"{path.name}:{name}": np.asarray(content[name]) for name in content}
     for source, array in arrays.items():
         if array.dtype.kind not in "iuf":
             raise SessionError(f"{source}: found no array of numbers")
@@ -188,11 +199,8 @@ def _column(name: str, answers: Answers, where: str) -> tuple[str, float]:
 
 def read_lines(path: Path) -> list[list[str]]:
     """Return the words of a CSV file, line by line, the first of which may be a header."""
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            lines = list(csv.reader(file))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise SessionError(f"{path.name}: no CSV text: {error}") from error
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        lines = list(csv.reader(file))
     if len(lines) < 2:
         raise SessionError(f"{path.name}: found {len(lines)} lines; expected a header and rows")
     return lines
@@ -215,8 +223,7 @@ def read_table(
             continue
         quantity, factor = meaning
         if quantity == "t":
-            t_ns = np.rint((rows[:, column] - rows[0, column]) * factor).astype(np.int64)
-            require_advance(t_ns, f"{name}: line", 3)
+            t_ns = whole_ns((rows[:, column] - rows[0, column]) * factor, f"{name}: line", 2)
         else:
             columns[quantity] = rows[:, column] * factor
     return columns, t_ns
@@ -265,7 +272,7 @@ def _forces(name: str, numbers: NDArray[Any], t_ns: Times, answers: Answers) -> 
     array = numbers.astype(np.float64).reshape(len(numbers), -1)
     newton = parse_unit(answers.units, FORCE_UNITS, "--units")
     measured = ~np.isnan(array).all(axis=0)
-    _require_finite(np.where(measured, array, 0.0) if array.shape[1] > 1 else array, name)
+    _require_finite(array[:, measured] if measured.any() else array, name)
     value = np.full((len(array), 6), np.nan)
     assumed = [f"{name}: {answers.units} by --units"]
     if array.shape[1] == 1:

@@ -35,7 +35,7 @@ def write_page(drafts: Sequence[Draft], path: Path, *, sensor: str, places: str)
         assumed=lines,
     )
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def _drawn(draft: Draft, is_drawn: bool) -> dict[str, Any]:

@@ -37,6 +37,7 @@ from recorder.convert.import_tracks import (
     Take,
     Times,
     indenter_of,
+    problems,
 )
 from recorder.errors import SessionError
 from recorder.progress import ReportItems
@@ -110,7 +111,12 @@ def draft_recordings(
         raise MissingAnswer("sensor", "nothing tells the name of the sensor")
     if answers.contact_frame and not all(take.first("pose") for take in takes):
         raise SessionError("--contact-frame: found without poses, which a depth takes")
-    return [_draft(take, answers) for take in takes]
+    drafts = []
+    with problems() as part:
+        for take in takes:
+            with part(take.name):
+                drafts.append(_draft(take, answers))
+    return drafts
 
 
 def _draft(take: Take, answers: Answers) -> Draft:
@@ -171,7 +177,12 @@ def _sensor_signal(take: Take) -> Signal | None:
     content = track.content
     if isinstance(content, Film):
         # The colours of 10 x 10 cells of each picture.
-        small = np.stack([_shrunk(image) for image in content.load()])
+        pictures = []
+        with problems() as part:
+            for number, image in enumerate(content.load()):
+                with part(f"{track.source}: image {number}"):
+                    pictures.append(_shrunk(image))
+        small = np.stack(pictures)
         cells = small.reshape(len(small), 10, 3, 10, 3, 3).mean(axis=(2, 4), dtype=np.float32)
         rows = cells.reshape(len(small), -1)
         return Signal("change of the image [grey levels]", content.t_ns, rows)
@@ -309,7 +320,7 @@ def _span(option: str, text: str) -> Span:
     begin, colon, end = text.partition(":")
     try:
         span = round(float(begin) * 1e9), round(float(end) * 1e9)
-    except ValueError:
+    except (ValueError, OverflowError):
         span = (0, 0)
     if not colon or not 0 <= span[0] < span[1]:
         raise SessionError(f"{option}: found {text!r}; allowed: START:END in seconds")

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, field, fields, replace
 from fnmatch import fnmatch
 from pathlib import Path
@@ -67,6 +68,39 @@ class MissingAnswer(SessionError):
         allowed = f" ({' or '.join(choices)})" if choices else ""
         super().__init__(f"{message}; say {option_flag(option)}{allowed}")
         self.option, self.choices = option, tuple(choices)
+
+
+# Gives the context of one of several parts of a recording, by its name.
+Part = Callable[[str], AbstractContextManager[None]]
+
+
+@contextmanager
+def problems() -> Iterator[Part]:
+    """Collect the errors of named parts of a recording, whatever a library raises, in one list."""
+    found: dict[str, SessionError] = {}
+
+    @contextmanager
+    def part(name: str) -> Iterator[None]:
+        try:
+            yield
+        except ModuleNotFoundError:
+            raise
+        except Exception as error:
+            if not isinstance(error, SessionError):
+                why = " ".join(str(error).split())[:200] or type(error).__name__
+                error = SessionError(f"{name}: damaged, or no file of its kind: {why}")
+            lines = str(error).split("\n- ")
+            found.update(dict.fromkeys(lines[1:] or lines, error))
+
+    yield part
+    if found:
+        # What can be answered is asked for when nothing else is wrong.
+        wrong = [line for line, each in found.items() if not isinstance(each, MissingAnswer)]
+        wrong = wrong or [*found]
+        error = found[wrong[0]]
+        if len(wrong) > 1:
+            error.args = ("\n- ".join([f"{len(wrong)} problems:", *wrong[:100]]),)
+        raise error
 
 
 def _answer(value: Any, about: str, /, **option: Any) -> Any:
@@ -198,8 +232,13 @@ def _rate(flag: str, text: str) -> float:
         value = float(text)
     except ValueError:
         raise SessionError(f"{flag}: found {text!r}; allowed: numbers, or NAME=number") from None
-    if not 0 < value <= 100_000:
-        raise SessionError(f"{flag}: found {value:g}; allowed: above 0 to 100000")
+    return require_rate(value, flag)
+
+
+def require_rate(value: float, where: str) -> float:
+    """Return a rate [Hz]; refuse one that no recording has."""
+    if not 1e-3 <= value <= 1e5:
+        raise SessionError(f"{where}: found {value:g} Hz; allowed: 0.001 to 100000")
     return value
 
 
@@ -365,7 +404,10 @@ def rate_of(t_ns: NDArray[np.int64]) -> float:
     return rate if rate > 0 and abs(1e9 / rate - step) < 1.0 else 1e9 / step
 
 
-def require_advance(t_ns: Times, where: str, second: int) -> None:
-    """Refuse times (n,) that do not ascend, by the number of the row; the second one's is given."""
-    if (backward := np.flatnonzero(np.diff(t_ns) <= 0)).size:
-        raise SessionError(f"{where} {backward[0] + second}: its time does not advance")
+def whole_ns(times: Floats, where: str, first: int) -> Times:
+    """Return times (n,) [ns] in whole ns below 30 years; refuse the row that does not advance."""
+    whole = np.rint(times)
+    bad = np.flatnonzero(~((np.diff(whole, prepend=-1) > 0) & (whole < 1e18)))
+    if bad.size:
+        raise SessionError(f"{where} {bad[0] + first}: its time does not advance")
+    return whole.astype(np.int64)

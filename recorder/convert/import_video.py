@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from recorder.convert.import_tracks import Film, Times, every, rate_of
+from recorder.convert.import_tracks import Film, Times, every, problems, rate_of, require_rate
 from recorder.errors import SessionError
-from recorder.natural_order import natural_key
+from recorder.natural_order import naturally_sorted
 from recorder.store import images
 
 # Motion JPEG in an AVI file: the camera's JPEG files are extracted without decoding.
@@ -102,7 +102,7 @@ def _rate(path: Path, data: mmap.mmap, start: int, size: int) -> float:
     scale, rate = fields[6], fields[7]
     if not scale or not rate:
         raise SessionError(f"{path.name}: its stream says no rate; say --fps")
-    return float(rate / scale)
+    return require_rate(rate / scale, f"{path.name}: its header's rate")
 
 
 # JPEG files from cameras: some have no Huffman tables, which still-image decoders need.
@@ -153,7 +153,14 @@ def _standard_tables() -> bytes:
     return tables
 
 
-_DECODED = "decoded and stored as pixels, losslessly"
+# Rows, columns [px] and bits per channel; 32 are floats.
+Size = tuple[int, int, int]
+# How pixels are stored, by their bits per channel.
+_STORED = {
+    8: "decoded and stored as pixels, losslessly",
+    16: "decoded and stored as pixels of 8 bits, 65535 as 255",
+    32: "decoded and stored as pixels of 8 bits, 1.0 as 255",
+}
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
 _JPEG_SUFFIXES = (".jpg", ".jpeg")
 
@@ -184,24 +191,24 @@ def _jpegs(name: str, frames: list[bytes], rate_hz: float, *, by_option: bool) -
             f"{name}: {len(frames) - len(numbers)} dropped frames, left out in their time"
         )
     jpegs: list[bytes] = []
+    sizes: list[Size] = []
     mended = 0
-    for number in numbers:
-        jpeg, changed = whole_jpeg(frames[number], f"{name}: frame {number}")
-        jpegs.append(jpeg)
-        mended += changed
+    with problems() as part:
+        for number in numbers:
+            with part(where := f"{name}: frame {number}"):
+                jpeg, changed = whole_jpeg(frames[number], where)
+                jpegs.append(jpeg)
+                sizes.append(size_of_picture(where, jpeg))
+                mended += changed
     if mended:
         assumed.append(f"{name}: standard Huffman tables put into {mended} images that had none")
-    shape = _same_size(
-        [_jpeg_size(jpeg, f"{name}: frame {k}") for k, jpeg in enumerate(jpegs)], name
-    )
+    shape = _same_size(sizes, name)[:2]
     return Film("jpeg", shape, rate_hz, every(numbers, rate_hz), lambda: iter(jpegs), assumed)
 
 
 def _folder(path: Path, fps: float | None, stills: bool) -> Film:
-    files = sorted(
-        (entry for entry in path.iterdir() if entry.suffix.lower() in IMAGE_SUFFIXES),
-        key=lambda entry: natural_key(entry.name),
-    )
+    pictures = (entry for entry in path.iterdir() if entry.suffix.lower() in IMAGE_SUFFIXES)
+    files = naturally_sorted(pictures, lambda entry: entry.name)
     if not files:
         raise SessionError(f"{path}: no image; known: {', '.join(IMAGE_SUFFIXES)}")
     if fps is None and not stills:
@@ -214,21 +221,20 @@ def _folder(path: Path, fps: float | None, stills: bool) -> Film:
         film = _jpegs(path.name, [file.read_bytes() for file in files], rate_hz, by_option=True)
         film.assumed.append(f"{path.name}: in order of the names, {files[0].name} first")
     else:
-        shape = _same_size([size_of_picture(file.name, file) for file in files], path.name)
-        assumed = [
-            f"{path.name}: {rate_hz:g} images/s by --fps, in order of the names, "
-            f"{files[0].name} first",
-            f"{path.name}: {_DECODED}",
-        ]
-        times = every(range(len(files)), rate_hz)
-        film = Film(
-            "zstd",
-            shape,
-            rate_hz,
-            times,
+        sizes: list[Size] = []
+        with problems() as part:
+            for file in files:
+                with part(file.name):
+                    sizes.append(size_of_picture(file.name, file))
+        film = film_of_pictures(
+            path.name,
+            sizes,
+            every(range(len(files)), rate_hz),
             lambda: (pixels_of_picture(file.name, file) for file in files),
-            assumed,
+            jpeg=False,
+            about=(f"in order of the names, {files[0].name} first", ""),
         )
+        film = replace(film, rate_hz=rate_hz)
     if not stills:
         return film
     numbering = f"{path.name}: single pictures without times, numbered one second apart"
@@ -236,13 +242,8 @@ def _folder(path: Path, fps: float | None, stills: bool) -> Film:
 
 
 def _decoded(path: Path, fps: float | None) -> Film:
-    try:
-        import cv2
-    except ImportError:
-        raise SessionError(
-            f"{path.name}: no Motion JPEG in an AVI file, and decoding others takes OpenCV: "
-            "pip install opencv-contrib-python-headless"
-        ) from None
+    import cv2
+
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     try:
         nominal = float(capture.get(cv2.CAP_PROP_FPS))
@@ -250,6 +251,7 @@ def _decoded(path: Path, fps: float | None) -> Film:
         size = tuple(int(capture.get(p)) for p in (4, 3))
         if not capture.isOpened() or min(size) < 1:
             raise SessionError(f"{path.name}: OpenCV finds no video in it")
+        require_pixels(path.name, size[0], size[1])
         # The packets say how many images there are, and when: a header's count is a promise.
         seconds = []
         while capture.grab():
@@ -276,7 +278,7 @@ def _decoded(path: Path, fps: float | None) -> Film:
         finally:
             again.release()
 
-    assumed = [timing, f"{path.name}: {_DECODED}"]
+    assumed = [timing, f"{path.name}: {_STORED[8]}"]
     return Film("zstd", (size[0], size[1]), rate_hz, times, load, assumed)
 
 
@@ -308,7 +310,7 @@ def _stamped(
 
 def film_of_pictures(
     source: str,
-    sizes: Sequence[tuple[int, int]],
+    sizes: Sequence[Size],
     t_ns: Times,
     load: Callable[[], Iterator[Any]],
     *,
@@ -320,47 +322,81 @@ def film_of_pictures(
     `load` yields JPEG bytes, if `jpeg`, else pixels; `about` says where times and such bytes are
     from.
     """
-    if len(set(sizes)) > 1:
-        raise SessionError(f"{source}: found images of {sorted(set(sizes))}")
-    coding = about[1] if jpeg else _DECODED
-    assumed = [f"{source}: {about[0]}, {coding}"]
-    return Film("jpeg" if jpeg else "zstd", sizes[0], rate_of(t_ns), t_ns, load, assumed)
+    height, width, bits = _same_size(sizes, source)
+    assumed = [f"{source}: {about[0]}, {about[1] if jpeg else _STORED[bits]}"]
+    if bits > 8:
+        load = _in_8_bits(source, 65535 if bits == 16 else 1, load)
+    codec = "jpeg" if jpeg else "zstd"
+    return Film(codec, (height, width), rate_of(t_ns), t_ns, load, assumed)
+
+
+# Pixels of the largest picture; decoded, it takes 100 MB.
+_PIXELS_MAX = 1 << 25
+# Bits per channel by Pillow's mode, if it can be shown as RGB exactly; 32 are floats.
+_BITS = dict.fromkeys(("1", "L", "LA", "P", "PA", "RGB", "RGBA", "YCbCr"), 8)
+_BITS |= {"I;16": 16, "I;16L": 16, "I;16B": 16, "F": 32}
+
+
+def require_pixels(name: str, height: int, width: int) -> None:
+    """Refuse the size of a picture that no camera has, before anything is allocated for it."""
+    if height < 1 or width < 1 or height * width > _PIXELS_MAX:
+        raise SessionError(f"{name}: found {width}x{height}; allowed: up to {_PIXELS_MAX} pixels")
 
 
 @contextmanager
-def _opened(picture: Path | bytes, wrong: str) -> Iterator[Image.Image]:
+def _opened(name: str, picture: Path | bytes) -> Iterator[tuple[Image.Image, int]]:
+    """Yield a picture that is still to be decoded, and its bits per channel."""
+    file = io.BytesIO(picture) if isinstance(picture, bytes) else picture
+    if isinstance(file, Path) and not file.is_file():
+        raise SessionError(f"{name}: found no file")
     try:
-        with Image.open(io.BytesIO(picture) if isinstance(picture, bytes) else picture) as image:
-            yield image
-    except (OSError, SyntaxError) as error:
-        raise SessionError(f"{wrong}: {error}") from error
+        with Image.open(file, formats=("PNG", "BMP", "TIFF", "JPEG", "WEBP")) as image:
+            require_pixels(name, image.height, image.width)
+            pages = 1 if image.format == "MPO" else getattr(image, "n_frames", 1)
+            if image.mode not in _BITS or pages > 1:
+                raise SessionError(
+                    f"{name}: found {pages} pictures of mode {image.mode}; allowed: one, grey or "
+                    "RGB of 8 or 16 bits, or of floats from 0 to 1"
+                )
+            # Of 16 bits in each of several channels, Pillow returns the upper 8.
+            yield image, 16 if ";16" in str(image.tile) else _BITS[image.mode]
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise SessionError(f"{name}: no whole picture: {error}") from error
 
 
-def size_of_picture(name: str, picture: Path | bytes) -> tuple[int, int]:
-    """Return rows and columns of the content of a picture's file [px]."""
-    with _opened(picture, f"{name}: no image") as image:
-        return image.height, image.width
+def size_of_picture(name: str, picture: Path | bytes) -> Size:
+    """Return the size of the content of a picture's file."""
+    with _opened(name, picture) as (image, bits):
+        return image.height, image.width, bits
 
 
 def pixels_of_picture(name: str, picture: Path | bytes) -> Any:
-    """Return the pixels (h, w, 3) uint8, RGB, of the content of a picture's file."""
-    with _opened(picture, f"{name}: damaged") as image:
-        return np.asarray(image.convert("RGB"))
+    """Return the pixels (h, w, 3) RGB of a picture's file: uint8, or uint16 or floats if so."""
+    with _opened(name, picture) as (image, bits):
+        if _BITS[image.mode] > 8:
+            return np.repeat(np.asarray(image)[..., None], 3, axis=2)
+        pixels = np.asarray(image.convert("RGB"))
+        return pixels if bits == 8 else pixels * np.uint16(257)
 
 
-def _jpeg_size(jpeg: bytes, where: str) -> tuple[int, int]:
-    import simplejpeg
+def _in_8_bits(
+    name: str, full: int, load: Callable[[], Iterator[Any]]
+) -> Callable[[], Iterator[Any]]:
+    """Return `load` with pictures scaled from `full` to 255, all by one factor."""
+    spans = np.array([(image.min(), image.max()) for image in load()])
+    low, high = float(spans[:, 0].min()), float(spans[:, 1].max())
+    if not (low >= 0 and full / 4 <= high <= full):
+        raise SessionError(
+            f"{name}: found values from {low:g} to {high:g}, to be stored in 8 bits; allowed: from "
+            f"0 to at least {full / 4:g}, so that grey levels are left, and at most {full}"
+        )
+    return lambda: (np.rint(image * (255 / full)).astype(np.uint8) for image in load())
 
-    try:
-        height, width, *_ = simplejpeg.decode_jpeg_header(jpeg)
-    except ValueError as error:
-        raise SessionError(f"{where}: no JPEG: {error}") from error
-    return int(height), int(width)
 
-
-def _same_size(sizes: list[tuple[int, int]], name: str) -> tuple[int, int]:
+def _same_size(sizes: Sequence[Size], name: str) -> Size:
+    text = "{1}x{0} with {2} bits".format
     for index, size in enumerate(sizes):
         if size != sizes[0]:
-            first = f"{sizes[0][1]}x{sizes[0][0]}"
-            raise SessionError(f"{name}: image {index} is {size[1]}x{size[0]}, the first {first}")
+            found, first = text(*size), text(*sizes[0])
+            raise SessionError(f"{name}: image {index} is {found}, the first {first}")
     return sizes[0]

@@ -8,6 +8,8 @@ frame_index / fps by definition; the true times of a row are `t_ns`, `capture_ns
 import io
 import json
 import math
+import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,7 +22,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from recorder.convert.export import Options
-from recorder.convert.import_numbers import kind_of_array, numbers_of
+from recorder.convert.import_numbers import kind_of_array, numbers_of, require_size
 from recorder.convert.import_tracks import (
     Answers,
     As,
@@ -30,6 +32,8 @@ from recorder.convert.import_tracks import (
     Take,
     Times,
     named,
+    require_rate,
+    whole_ns,
 )
 from recorder.convert.import_video import (
     JPEG,
@@ -447,6 +451,8 @@ def _write_json(path: Path, document: Mapping[str, Any]) -> None:
 
 # Reading: the episodes of a data set (versions 2 and 3), each as the tracks of one recording.
 
+# A field of a template of paths, such as {episode_index:06d}.
+_FIELD = re.compile(r"\{(\w+)(?::(\d{1,2}d))?\}")
 # Columns that number rows and tasks.
 _INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
@@ -456,16 +462,16 @@ def read_lerobot(path: Path, answers: Answers) -> list[Take]:
     try:
         info = json.loads((path / "meta" / "info.json").read_text())
         features: dict[str, dict[str, Any]] = info["features"]
-        fps = float(info["fps"])
+        fps = require_rate(float(info["fps"]), f"{path.name}/meta/info.json: fps")
     except (KeyError, TypeError, ValueError) as error:
         raise SessionError(f"{path.name}/meta/info.json: no description: {error}") from error
     files = sorted((path / "data").rglob("*.parquet"))
     if not files:
         raise SessionError(f"{path.name}: found no parquet file in data")
-    try:
-        table = pa.concat_tables([pq.read_table(file) for file in files])
-    except (pa.ArrowInvalid, OSError) as error:
-        raise SessionError(f"{path.name}: a damaged parquet file: {error}") from error
+    for file in files:
+        about = pq.read_metadata(file)
+        require_size(file, about.num_rows * about.num_columns * 8)
+    table = pa.concat_tables([pq.read_table(file) for file in files])
     kinds: dict[str, As] = {}
     left_out = []
     for name, feature in features.items():
@@ -486,9 +492,8 @@ def read_lerobot(path: Path, answers: Answers) -> list[Take]:
     takes = []
     for episode in np.unique(number).tolist():
         rows = np.flatnonzero(number == episode)
-        times = np.round(1e9 * (seconds[rows] - seconds[rows[0]])).astype(np.int64)
-        if (np.diff(times) <= 0).any():
-            raise SessionError(f"{path.name}: episode {episode}: its time does not advance")
+        where = f"{path.name}: episode {episode}: row"
+        times = whole_ns(1e9 * (seconds[rows] - seconds[rows[0]]), where, 0)
         tracks = []
         for name, kind in kinds.items():
             source = f"{path.name}:{name}"
@@ -528,7 +533,16 @@ def _film(
         images = [entry["bytes"] for entry in table.column(name).take(rows).to_pylist()]
         if not all(isinstance(each, bytes) for each in images):
             raise SessionError(f"{path.name}: {name}: episode {episode}: an image has no bytes")
-        return _of_bytes(f"{path.name}:{name}", images, times)
+        source = f"{path.name}:{name}"
+        jpeg = all(each[:2] == JPEG for each in images)
+        return film_of_pictures(
+            source,
+            [size_of_picture(source, each) for each in images],
+            times,
+            lambda: (each if jpeg else pixels_of_picture(source, each) for each in images),
+            jpeg=jpeg,
+            about=("times of the data set", "the files' bytes"),
+        )
     chunk = episode // int(info.get("chunks_size", 1000))
     fields = {"video_key": name, "episode_chunk": chunk, "episode_index": episode}
     start = 0.0
@@ -541,15 +555,18 @@ def _film(
         }
         start = float(entry[f"{prefix}from_timestamp"])
     try:
-        file = path / str(info["video_path"]).format(**fields)
+        template = str(info["video_path"])
+        file = path / _FIELD.sub(lambda field: format(fields[field[1]], field[2] or ""), template)
     except (KeyError, ValueError) as error:
         raise SessionError(f"{path.name}: info.json: video_path: {error}") from error
+    if not Path(os.path.abspath(file)).is_relative_to(os.path.abspath(path)):
+        raise SessionError(f"{path.name}: info.json: video_path: {file} is outside of the data set")
     whole = open_film(file, fps)
     first = round(start * fps)
-    if first + len(rows) > len(whole.t_ns):
+    if not 0 <= first <= len(whole.t_ns) - len(rows):
         raise SessionError(
             f"{file.name}: found {len(whole.t_ns)} images; episode {episode} needs "
-            f"{first + len(rows)}"
+            f"{first} to {first + len(rows)}"
         )
 
     def load() -> Iterator[Any]:
@@ -566,14 +583,3 @@ def _episode(path: Path, episode: int) -> dict[str, Any]:
             if int(entry["episode_index"]) == episode:
                 return dict(entry)
     raise SessionError(f"{path.name}: meta/episodes has no episode {episode}")
-
-
-def _of_bytes(name: str, images: list[bytes], times: Times) -> Film:
-    sizes = [size_of_picture(name, each) for each in images]
-    jpeg = all(each[:2] == JPEG for each in images)
-
-    def load() -> Iterator[Any]:
-        return (each if jpeg else pixels_of_picture(name, each) for each in images)
-
-    about = "times of the data set", "the files' bytes"
-    return film_of_pictures(name, sizes, times, load, jpeg=jpeg, about=about)

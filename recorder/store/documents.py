@@ -104,6 +104,8 @@ LATENCY_LEAST = -0.5
 BIAS_MAX, FRAME_MAX = 1e12, 1e4
 # Largest number of values of a row of attributes, of entries per run, and of knots of a clock.
 VALUES_MAX, ENTRIES_MAX, KNOTS_MAX = 1 << 12, 1 << 16, 1 << 22
+# Most runs: each reading of a session looks at all of them, for each of them.
+RUNS_MAX = 1 << 12
 # Largest time, row and count in attributes.
 INT_MAX = (1 << 63) - 1
 # Largest clock reading [s] and drift [ppm].
@@ -210,7 +212,9 @@ _SESSION = {
     "targets_wanted": _whole(0, INT_MAX),
     "targets_done": _whole(0, INT_MAX),
     "replay_of": {"speed": _speed},
-    "runs": _Entries({"t0_ns": _MOMENT, "utc_ns": _MOMENT, "stalls_ns": _spans, "states": _texts}),
+    "runs": _Entries(
+        {"t0_ns": _MOMENT, "utc_ns": _MOMENT, "stalls_ns": _spans, "states": _texts}, RUNS_MAX
+    ),
     "sealed_later": _Entries({"lost": _numbers(INT_MAX, ENTRIES_MAX)}, null=False),
 }
 
@@ -290,8 +294,8 @@ def read_session_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:
             raise SessionError(f"{name}: found {key} {value!r:.80}; allowed: {choices}")
     if "rate_hz" in attrs:
         check_rate(attrs["rate_hz"], name)
-    _check_runs(attrs["runs"], name)
     check_session_attrs(attrs, name)
+    _check_runs(attrs["runs"], name)
     return attrs
 
 

@@ -36,8 +36,7 @@ MISSING = 0xFFFF_FFFF_FFFF_FFFF
 
 # Largest metadata accepted, so that a corrupt or hostile file cannot make a reader allocate memory.
 SIDE_MAX = 1 << 16
-ROW_BYTES_MAX = 1 << 28
-CHUNK_BYTES_MAX = 1 << 30
+ROW_BYTES_MAX = CHUNK_BYTES_MAX = 1 << 27
 # Largest number of inner chunks per shard that is read.
 CHUNKS_MAX = 1 << 16
 
@@ -480,6 +479,8 @@ class StreamLayout:
         names = attrs.get("columns")
         if not isinstance(names, list) or not names:
             raise SessionError(f"{path}: found no attrs columns, expected a stream")
+        if len(set(map(str, names))) < len(names):
+            raise SessionError(f"{path}: found columns {names!r:.200}, expected each once")
         for name in map(str, names):
             if Path(name).name != name or name == "..":  # must not lead out of the stream
                 raise SessionError(f"{path}: found column {name!r}, expected a plain name")

@@ -15,9 +15,14 @@ import pytest
 from PIL import Image
 from support.sessions import T0, make_session
 
-from recorder import Session
-from recorder.convert import Options, export, lerobot_format
-from recorder.convert.lerobot_format import document_of, of_both, statistics_of
+from recorder import Session, SessionError
+from recorder.convert import Answers, Options, export, lerobot_format
+from recorder.convert.lerobot_format import (
+    document_of,
+    of_both,
+    read_lerobot,
+    statistics_of,
+)
 from recorder.convert.runs import parse_utc
 
 IMAGE = "observation.images.tactile"
@@ -174,6 +179,22 @@ def test_rows_without_an_image_are_left_out_and_invalid_ones_if_asked(tmp_path: 
     found = columns(tmp_path / "valid")
     assert len(found["index"]) == valid < pictured
     assert all(found["valid"])
+
+
+def test_a_video_path_that_leaves_the_data_set_is_refused(tmp_path: Path) -> None:
+    export(make_session(tmp_path / "s.zarr"), tmp_path / "d", "lerobot")
+    (tmp_path / "secret.mp4").write_bytes(b"")
+    file = tmp_path / "d/meta/info.json"
+    info = json.loads(file.read_text())
+    info["features"]["cam"] = {"dtype": "video", "shape": [48, 64, 3]}
+    answers = Answers(units="N", torque_units="N m", kinds=(f"{IMAGE}=skip",))
+    for template in ("../secret.mp4", str(tmp_path / "secret.mp4"), "{video_key}/../../secret.mp4"):
+        file.write_text(json.dumps({**info, "video_path": template}))
+        with pytest.raises(SessionError, match=r"video_path: .*secret.mp4 is outside of the data"):
+            read_lerobot(tmp_path / "d", answers)
+    file.write_text(json.dumps({**info, "fps": 0}))
+    with pytest.raises(SessionError, match=r"fps: found 0 Hz; allowed: 0\.001 to 100000"):
+        read_lerobot(tmp_path / "d", answers)
 
 
 def test_statistics_of_parts_are_those_of_the_whole() -> None:

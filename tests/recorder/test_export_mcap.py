@@ -12,8 +12,9 @@ from mcap.reader import McapReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from support.sessions import T0, make_session, set_attrs
 
-from recorder import PHASES, Session
-from recorder.convert import export
+from recorder import PHASES, Session, SessionError
+from recorder.convert import Answers, draft_recordings, export
+from recorder.convert.import_bags import read_bag
 from recorder.convert.runs import parse_utc
 from recorder.session.align import quaternion
 
@@ -128,3 +129,26 @@ def test_latency_moves_the_capture_and_not_the_arrival(tmp_path: Path) -> None:
     export(path, tmp_path / "s.mcap", "mcap")
     found = messages(tmp_path / "s.mcap", "/camera")
     assert {m.log_time - m.publish_time for m, _ in found} == {55_000_000}
+
+
+def test_a_flipped_bit_is_refused_by_name_and_never_imported(tmp_path: Path) -> None:
+    path = make_session(tmp_path / "s.zarr", names=("taxels",), seconds=0.5)
+    export(path, tmp_path / "s.mcap", "mcap")
+    whole = (tmp_path / "s.mcap").read_bytes()
+    answers = Answers(sensor="a", indenter="b", press=("none",), taxel_order="taxel")
+    values = read_bag(tmp_path / "s.mcap", answers).tracks[0].content
+    rng, refused = np.random.default_rng(0), []
+    for _ in range(30):
+        data = bytearray(whole)
+        data[rng.integers(len(data))] ^= 1 << rng.integers(8)
+        (tmp_path / "flip.mcap").write_bytes(data)
+        try:
+            (draft,) = draft_recordings([tmp_path / "flip.mcap"], [], answers)
+        except SessionError as error:
+            refused.append(str(error))
+            continue
+        found = draft.take.tracks[0].content
+        np.testing.assert_array_equal(found.value, values.value)
+        np.testing.assert_array_equal(found.t_ns, values.t_ns)
+    assert len(refused) > 5
+    assert all("flip" in each for each in refused)

@@ -2,6 +2,7 @@
 
 import json
 import struct
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -191,6 +192,71 @@ def test_a_folder_of_images_is_taken_in_the_order_of_its_numbers(tmp_path: Path)
     assert camera.t_ns.tolist() == [0, 50_000_000, 100_000_000]
 
 
+def folder_of(path: Path, images: list[Any], suffix: str = "png") -> Path:
+    path.mkdir()
+    for number, image in enumerate(images):
+        Image.fromarray(image).save(path / f"i{number}.{suffix}")
+    return path
+
+
+def ramp(least: float, most: float, dtype: Any) -> Any:
+    return np.linspace(least, most, 48 * 64).reshape(SIZE).astype(dtype)
+
+
+@pytest.mark.parametrize(
+    ("image", "suffix", "full"),
+    [(ramp(0, 65535, np.uint16), "png", 65535), (ramp(0.1, 0.9, np.float32), "tif", 1.0)],
+)
+def test_deep_pictures_keep_their_grey_levels(
+    image: Any, suffix: str, full: float, tmp_path: Path
+) -> None:
+    lines = imported(tmp_path, video=folder_of(tmp_path / "i", [image] * 9, suffix), fps=20.0)
+    stored = Session(tmp_path / "s.zarr").streams["camera"].images([3])[0]
+    np.testing.assert_array_equal(stored[..., 1], np.rint(image * (255 / full)))
+    assert any("pixels of 8 bits" in line for line in lines)
+    assert not any("lossless" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("image", "suffix", "match"),
+    [
+        (ramp(0, 4095, np.uint16), "png", "i: found values from 0 to 4095, .* at least 16383"),
+        (ramp(0, 255, np.float32), "tif", "found values from 0 to 255, .* at most 1"),
+        (ramp(0, np.nan, np.float32), "tif", "found values from nan"),
+        (ramp(0, 1e6, np.int32), "tif", "i0.tif: found 1 pictures of mode I; allowed"),
+        (np.zeros((8192, 8192), np.uint8), "png", "i0.png: found 8192x8192; allowed: up to"),
+    ],
+)
+def test_pictures_that_8_bits_cannot_show_are_refused_by_name(
+    image: Any, suffix: str, match: str, tmp_path: Path
+) -> None:
+    rejected(tmp_path, match, video=folder_of(tmp_path / "i", [image], suffix), fps=20.0)
+
+
+def test_all_problems_of_a_folder_come_in_one_list(tmp_path: Path) -> None:
+    pictures = folder_of(tmp_path / "i", [picture(0)] * 4)
+    (pictures / "i1.png").write_bytes(b"no picture")
+    (pictures / "i3.png").unlink()
+    (pictures / "i3.png").symlink_to("nowhere")
+    saved(tmp_path / "a.csv", "weight\n1\n2\n")
+    (tmp_path / "b.csv").write_bytes("Fz (N)\n1\n2\n".encode("utf-16"))
+    with zipfile.ZipFile(tmp_path / "c.npz", "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr("force.npy", bytes(70 << 20))
+    answers = Answers(sensor="a", indenter="b", fps=("20",), force_hz=("20",))
+    with pytest.raises(SessionError) as error:
+        draft_recordings([tmp_path], [], answers)
+    lines = str(error.value).splitlines()
+    assert lines[0] == "5 problems:"
+    for name, why in {
+        "a.csv": "not known",
+        "b.csv": "utf-8",
+        "c.npz": "holds 73400320 bytes",
+        "i1.png": "no whole picture",
+        "i3.png": "found no file",
+    }.items():
+        assert any(name in line and why in line for line in lines), (name, lines)
+
+
 def test_a_video_that_must_be_decoded_is_stored_as_it_decodes(tmp_path: Path) -> None:
     cv2 = pytest.importorskip("cv2", reason="needs OpenCV to write a video")
     path = tmp_path / "v.avi"
@@ -330,9 +396,9 @@ ODD = avi([*jpegs(2), simplejpeg.encode_jpeg(np.zeros((32, 32, 3), np.uint8))])
         ("t.npy", counts_with(np.inf), "row 13: found inf; allowed: 0 to 65535"),
         ("t.npy", counts_with(-1), "row 13: found -1; allowed: 0 to 65535"),
         ("t.npy", counts_with(65_536), "row 13: found 65536; allowed: 0 to 65535"),
-        ("t.npy", b"", "no whole .npy file"),
-        ("t.npy", b"no numpy", "no whole .npy file"),
-        ("t.npy", b"\x93NUMPY\1\0", "no whole .npy file"),
+        ("t.npy", b"", "t.npy: damaged, or no file of its kind"),
+        ("t.npy", b"no numpy", "t.npy: damaged, or no file of its kind"),
+        ("t.npy", b"\x93NUMPY\1\0", "t.npy: damaged, or no file of its kind"),
     ],
 )
 def test_a_broken_file_is_refused_with_its_place_and_leaves_nothing(

@@ -134,6 +134,8 @@ BOUNDED: list[tuple[str, dict[str, Any], str]] = [
     ("streams/force", {"bias": [1.0] * 5 + [float("nan")]}, "found bias"),
     ("streams/force", {"bias": [1e300] * 6}, "found bias"),
     ("streams/force", {"bias": [0.0] * 100_000}, "found bias .*; allowed: up to 4096 numbers"),
+    ("streams/force", {"columns": ["value", "value", "t_ns"]}, "found columns .*, expected each"),
+    (".", {"runs": [{"first_row": {}}] * 5000}, "found runs .*; allowed: a list of up to 4096"),
     ("streams/force", {"bias": "zero"}, "found bias 'zero'"),
     ("streams/force", {"device": "F/T"}, "found device 'F/T'; allowed: a JSON object"),
     ("streams/force", {"device": {"rate_hz": 1e300}}, "device: found rate_hz 1e"),
