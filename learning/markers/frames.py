@@ -21,6 +21,7 @@ from learning.markers.segment import (
     ShadingPreset,
     TaxelPreset,
     cells_of,
+    letterboxed,
     names,
     preset,
     preset_of_sensor,
@@ -258,6 +259,11 @@ class RecordedSensor:
             "preset_says": repr(self._preset),
             "wrench_frame": "that of the force/torque sensor, as in the sessions",
         }
+        if not isinstance(self._preset, TaxelPreset):
+            first = self._recordings[0]
+            shape = first.picture(first.reference_images()[0]).shape
+            if view := letterboxed(shape, self._preset.region):
+                attrs["view"] = view
         if not all(recording.is_placed for recording in self._recordings):
             attrs |= {"depth": UNKNOWN, "position": UNKNOWN}
         own = self._recordings[:1] if self._frames.one_reference else self._recordings

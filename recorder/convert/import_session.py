@@ -4,7 +4,7 @@ import datetime
 import hashlib
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -14,14 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.convert.export import building
+from recorder.convert.import_clocks import DRIFT, ClockFit, Untestable, find_clock
 from recorder.convert.import_find import find_takes
 from recorder.convert.import_presses import (
     Press,
     Signal,
-    SignalLag,
     Span,
     Trace,
-    find_lag,
     find_no_contact,
     find_presses,
     force_signal,
@@ -37,6 +36,7 @@ from recorder.convert.import_tracks import (
     Take,
     Times,
     indenter_of,
+    require_advance,
 )
 from recorder.errors import SessionError
 from recorder.progress import ReportItems
@@ -65,6 +65,8 @@ _LENGTH_LEAST = 0.1
 # Rows and columns of the pictures in which contacts are looked for: 2.7 kB each, as all of a
 # recording are held in memory.
 _SMALL = (30, 30)
+# Lag of one clock that is left if only contacts near to each other show it [s].
+_NEAR = 0.15
 # Frames without contact that are kept before and after a press, if there are some.
 _AROUND = 2
 # File names of single pictures that show no contact.
@@ -87,8 +89,10 @@ class Draft:
     """Change in which they were found."""
     end_ns: int
     """End of what is written."""
-    lag: SignalLag | None = None
+    lag: ClockFit | None = None
     """Lag that was found between images or taxels and forces."""
+    time_sigma: float | None = None
+    """Standard uncertainty of the times of images or taxels against forces [s]."""
     assumed: tuple[str, ...] = ()
     """Messages on assumptions and changes."""
 
@@ -119,7 +123,7 @@ def _draft(take: Take, answers: Answers) -> Draft:
     for track in take.tracks:
         assumed += track.content.assumed
     sensed = _sensor_signal(take)
-    take, lag, messages = _on_one_clock(take, sensed, answers)
+    take, lag, time_sigma, messages = _on_one_clock(take, sensed, answers)
     assumed += messages
     if sensed is not None and (sensor := _sensor_track(take)) is not None:
         sensed = replace(sensed, t_ns=sensor.content.t_ns)
@@ -128,6 +132,12 @@ def _draft(take: Take, answers: Answers) -> Draft:
     if end < max(seconds.values()):
         assumed.append(f"{take.name}: all cut to {end:.3f} s, the length of the shortest")
     end_ns = round(end * 1e9)
+    for track in take.tracks:
+        if track.content.t_ns[0] >= end_ns:
+            raise SessionError(
+                f"{track.source}: begins at {NS * track.content.t_ns[0]:.3f} s, after the end of "
+                f"another at {end:.3f} s; are its times of another clock?"
+            )
     film = take.film
     if film is not None and film.names and sensed is not None:
         no_contact, presses, trace = _stills(film, sensed, answers)
@@ -143,7 +153,9 @@ def _draft(take: Take, answers: Answers) -> Draft:
             f"{take.name}: without contact from {begin:.3f} to {end_s:.3f} s{zero}, "
             f"{len(presses)} presses by {trace.name}"
         )
-    return Draft(take, indenter, no_contact, tuple(presses), trace, end_ns, lag, tuple(assumed))
+    return Draft(
+        take, indenter, no_contact, tuple(presses), trace, end_ns, lag, time_sigma, tuple(assumed)
+    )
 
 
 def _shrunk(image: Any) -> NDArray[np.uint8]:
@@ -188,24 +200,35 @@ def _force(take: Take) -> Signal | None:
 
 def _on_one_clock(
     take: Take, sensed: Signal | None, answers: Answers
-) -> tuple[Take, SignalLag | None, list[str]]:
-    """Return the recording with the lag of another clock taken out, that lag, and messages."""
-    clocks = list(dict.fromkeys(track.clock for track in take.tracks))
+) -> tuple[Take, ClockFit | None, float | None, list[str]]:
+    """Return the recording with its lag taken out, that lag, its uncertainty [s], and messages."""
+    clocks = {track.clock for track in take.tracks}
     forces, force, track = take.first("force"), _force(take), _sensor_track(take)
-    if len(clocks) == 1 or forces is None or track is None or track.clock == forces.clock:
+    if forces is None or force is None or track is None or sensed is None:
         several = len(clocks) > 1
-        return take, None, [f"{take.name}: all files start together"] if several else []
+        together = [f"{take.name}: all files start together"] if several else []
+        return take, None, None, together
+    moving = {track.stream}
+    if apart := track.clock != forces.clock:
+        moving = {each.stream for each in take.tracks if each.clock == track.clock}
     if answers.lag is not None:
-        moved = _shifted(take, track.clock, answers.lag)
-        return moved, None, [f"{take.name}: lag of {answers.lag:+.3f} s by --lag"]
-    if sensed is None or force is None:
-        raise MissingAnswer("lag", f"{take.name}: the lag between its files is unknown")
-    pressed = force.change(_rest(force))
-    lag = find_lag(sensed.change(_rest(sensed)), pressed, take.name)
-    if lag.low <= 0 <= lag.high:
-        return take, lag, [f"{take.name}: lag {lag}: its files start together, to within that"]
-    message = f"{take.name}: lag {lag}: all but {track.source} was moved by it"
-    return _shifted(take, track.clock, lag.seconds), lag, [message]
+        late = round(answers.lag / NS)
+        moved = _moved(take, moving, lambda t_ns: t_ns - late)
+        return moved, None, None, [f"{take.name}: lag of {answers.lag:+.3f} s by --lag"]
+    try:
+        lag = find_clock(sensed, force, take.name)
+    except Untestable as untestable:
+        if apart:
+            raise
+        why = str(untestable).partition("; say ")[0]
+        return take, None, None, [f"{take.name}: times are not tested: {why}"]
+    largest = float(np.abs(lag.lag).max())
+    doubtful = DRIFT in lag.untested and not apart and largest < _NEAR
+    if largest <= 2 * lag.sigma or doubtful:
+        message = f"lag {lag}: {'one clock' if doubtful else 'within that'}, left as it is"
+        return take, lag, math.hypot(lag.sigma, largest), [f"{take.name}: {message}"]
+    message = f"{take.name}: lag {lag}: {', '.join(sorted(moving))} moved by it"
+    return _moved(take, moving, lag.moved), lag, lag.sigma, [message]
 
 
 def _rest(signal: Signal) -> Span:
@@ -214,14 +237,19 @@ def _rest(signal: Signal) -> Span:
     return int(signal.t_ns[0]), int(signal.t_ns[samples - 1]) + 1
 
 
-def _shifted(take: Take, clock: str, seconds: float) -> Take:
-    """Return the recording with the times of all clocks but one later by `seconds`, from 0 on."""
-    by = {track.clock: round(seconds * 1e9) for track in take.tracks} | {clock: 0}
-    least = min(int(track.content.t_ns[0]) + by[track.clock] for track in take.tracks)
+def _moved(take: Take, streams: Collection[str], move: Callable[[Times], Times]) -> Take:
+    """Return the recording with the times of some streams moved, all of them from 0 on."""
+    moved = [
+        move(track.content.t_ns) if track.stream in streams else track.content.t_ns
+        for track in take.tracks
+    ]
+    least = min(0, *(int(t_ns[0]) for t_ns in moved))
     tracks = []
-    for track in take.tracks:
-        t_ns = track.content.t_ns + (by[track.clock] - min(least, 0))
-        tracks.append(replace(track, content=replace(track.content, t_ns=t_ns)))
+    for track, t_ns in zip(take.tracks, moved, strict=True):
+        require_advance(t_ns, f"{track.source}: without its lag, row", 2)
+        rate = track.content.rate_hz * float(np.ptp(track.content.t_ns)) / max(np.ptp(t_ns), 1)
+        content = replace(track.content, t_ns=t_ns - least, rate_hz=rate)
+        tracks.append(replace(track, content=content))
     return replace(take, tracks=tuple(tracks))
 
 
@@ -469,6 +497,16 @@ def _targets(drafts: Sequence[Draft], answers: Answers) -> dict[str, Any]:
 def _specs(drafts: Sequence[Draft]) -> list[StreamSpec]:
     """Return the streams of a session."""
     first = [_spec(track) for track in drafts[0].take.tracks]
+    sigmas = [draft.time_sigma for draft in drafts if draft.time_sigma is not None]
+    if len(sigmas) == len(drafts) and (sensor := _sensor_track(drafts[0].take)) is not None:
+        half = 1.96 * max(sigmas)
+        measured = {"method": "agreement with the force at import", "interval_s": [-half, half]}
+        first = [
+            replace(spec, attrs={**spec.attrs, "latency": 0.0, "latency_calibration": measured})
+            if spec.name == sensor.stream
+            else spec
+            for spec in first
+        ]
     for draft in drafts[1:]:
         own = [_spec(track) for track in draft.take.tracks]
         if [(each.name, each.columns) for each in own] != [
