@@ -21,14 +21,14 @@ from learning.markers.segment import (
     ShadingPreset,
     TaxelPreset,
     cells_of,
-    letterboxed,
     names,
     preset,
     preset_of_sensor,
     shading_of,
+    shown_part,
 )
 from recorder.archive import CHUNK_ROWS, MASKS, SHADING, UNIT_ROWS, Frames, MarkerCount, SensorPlan
-from recorder.markers import MarkerCheck, count_markers, draw_discs, find_blobs, pack, unpack
+from recorder.markers import HEIGHT, WIDTH, MarkerCheck, count_markers, draw_discs, find_blobs, pack, unpack
 
 # Keys in the provenance of a frame: result of the marker count, and reason for a missing frame.
 FLAG, INVALID = "marker_flag", "invalid"
@@ -262,8 +262,9 @@ class RecordedSensor:
         if not isinstance(self._preset, TaxelPreset):
             first = self._recordings[0]
             shape = first.picture(first.reference_images()[0]).shape
-            if view := letterboxed(shape, self._preset.region):
-                attrs["view"] = view
+            parts = [(each.start, each.stop) for each in shown_part(shape, self._preset.region)]
+            if parts != [(0, HEIGHT), (0, WIDTH)]:
+                attrs["view"] = f"letterboxed to rows and columns {parts} of 640 x 480"
         if not all(recording.is_placed for recording in self._recordings):
             attrs |= {"depth": UNKNOWN, "position": UNKNOWN}
         own = self._recordings[:1] if self._frames.one_reference else self._recordings

@@ -286,14 +286,14 @@ def view_of(picture: Picture, region: Region) -> Picture:
     view = picture[ends[0], ends[1]]
     if view.shape[:2] == (HEIGHT, WIDTH):
         return view
-    rows, columns = _shown(picture.shape, region)
+    rows, columns = shown_part(picture.shape, region)
     size = columns.stop - columns.start, rows.stop - rows.start
     view = cv2.resize(view, size, interpolation=cv2.INTER_LINEAR)
     edges = rows.start, HEIGHT - rows.stop, columns.start, WIDTH - columns.stop
     return cv2.copyMakeBorder(view, *edges, cv2.BORDER_REPLICATE) if any(edges) else view
 
 
-def _shown(shape: tuple[int, ...], region: Region) -> tuple[slice, slice]:
+def shown_part(shape: tuple[int, ...], region: Region) -> tuple[slice, slice]:
     """Return the rows and columns of the 640 x 480 that show a picture (h, w, ...)."""
     ends = region.rows or (0, shape[0]), region.columns or (0, shape[1])
     scale = min(HEIGHT / (ends[0][1] - ends[0][0]), WIDTH / (ends[1][1] - ends[1][0]))
@@ -302,17 +302,6 @@ def _shown(shape: tuple[int, ...], region: Region) -> tuple[slice, slice]:
         size = round((last - first) * scale)
         parts.append(slice((whole - size) // 2, (whole - size) // 2 + size))
     return parts[0], parts[1]
-
-
-def letterboxed(shape: tuple[int, ...], region: Region) -> str:
-    """Return a message on where the 640 x 480 shows a picture (h, w, ...); empty if everywhere."""
-    rows, columns = _shown(shape, region)
-    if (rows.stop - rows.start, columns.stop - columns.start) == (HEIGHT, WIDTH):
-        return ""
-    return (
-        f"pictures are letterboxed, not stretched: rows {rows.start} to {rows.stop} and columns "
-        f"{columns.start} to {columns.stop} of the 640 x 480 show them"
-    )
 
 
 class Segmenter:
@@ -485,7 +474,7 @@ def _inside(region: Region, shape: tuple[int, ...]) -> Binary:
     if region.polygon:
         cv2.fillPoly(inside, [np.array(region.polygon, np.int32)], 255)
     shown = np.zeros_like(inside)
-    shown[_shown(shape, region)] = 255
+    shown[shown_part(shape, region)] = 255
     return cv2.bitwise_and(inside, shown)
 
 

@@ -135,7 +135,7 @@ def _on_one_clock(topics: dict[str, _Topic], name: str) -> tuple[dict[str, Times
         windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * side + 1)
         moved = np.median(windows, axis=1).round().astype(np.int64)
         low, high = (int(end) * NS for end in (moved.min(), moved.max()))
-        if -_AHEAD <= low and high <= _BEHIND and high - low <= _WANDER:
+        if low >= -_AHEAD and high <= _BEHIND and high - low <= _WANDER:
             continue
         times[topic] = t_ns + moved
         assumed.append(

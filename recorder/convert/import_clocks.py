@@ -6,7 +6,7 @@ of a recording give the uncertainty, and have to agree.
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,9 @@ from recorder.convert.import_presses import Signal
 from recorder.convert.import_tracks import Floats, MissingAnswer, Times
 from recorder.session.align import NS
 
-# Largest lag at the start [s] and as part of the time, drift, resolution [s] and pictures of a search.
-_LAG_MOST, _OVERLAP, _DRIFT_MOST, _RESOLUTION, _SEARCHED = 1.0, 0.4, 0.02, 0.02, 800
+# Largest lag at the start, in seconds and as part of the time; largest drift; resolution of the
+# search [s], and pictures that it looks at.
+_LAG_MOST, _LAG_PART, _DRIFT_MOST, _RESOLUTION, _SEARCHED = 1.0, 0.4, 0.02, 0.02, 800
 # Principal components of a picture, and times over which its past means are taken [s].
 _COMPONENTS, _PAST = 3, (0.2, 1.0)
 # Least correlation; least that another lag leaves, over the best one; most that a step leaves, over
@@ -24,8 +25,8 @@ _COMPONENTS, _PAST = 3, (0.2, 1.0)
 _CORRELATED, _RIVAL, _STEPPED, _SPAN, _SPAN_S, _FEWEST = 0.7, 1.3, 0.3, 0.3, 4.0, 30
 # Parts for the uncertainty, and for agreement; least part of the force's changes in a third.
 _PARTS, _AGREE, _TELLS = 18, 6, 0.02
-# Least standard uncertainty, that of contacts too near to each other to show a drift, largest, and
-# most that a part may differ by, in periods of pictures.
+# Least standard uncertainty, that without a drift, largest, and most by which parts may differ, in
+# periods of pictures.
 _FLOOR, _FLOOR_NEAR, _WIDEST, _APART = 0.15, 0.35, 0.5, 1.0
 # Names of what cannot be tested where too little happens.
 _THIRDS, DRIFT = ("the first third", "the middle third", "the last third"), "drift"
@@ -35,24 +36,23 @@ class Untestable(MissingAnswer):
     """Raised where nothing in a recording tells the lag."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class ClockFit:
     """Delay of pictures or taxels behind the force."""
 
     t: Floats
-    """Times (2 or 4,) on the pictures' clock, ascending [s]: the ends, and those of a step."""
+    """Times of the pictures (n,) on their clock [s]."""
     lag: Floats
-    """Delay at each, linear from one to the next [s]."""
+    """Delay of each (n,) [s]."""
+    drift: float
+    """Seconds that the pictures' clock gains in one."""
+    step: str
+    """Message on a step of the delay; or empty."""
     sigma: float
     """Standard uncertainty of the delay, where it is largest [s]."""
     correlation: float
     untested: tuple[str, ...]
     """What could not be tested, as too little happens: thirds of the recording, drift."""
-
-    @property
-    def drift(self) -> float:
-        """Seconds that the pictures' clock gains in one."""
-        return float((self.lag[1] - self.lag[0]) / (self.t[1] - self.t[0]))
 
     def moved(self, t_ns: Times) -> Times:
         """Return times (n,) of the pictures' clock on that of the force [ns]."""
@@ -63,9 +63,7 @@ class ClockFit:
         text = f"{1e3 * self.lag[0]:+.0f} ms (95 %: {low:+.0f} to {high:+.0f} ms)"
         if self.drift:
             text += f" at the start, growing by {100 * self.drift:+.3f} % of the time"
-        if len(self.t) > 2:
-            text += f", a step of {1e3 * (self.lag[2] - self.lag[1]):+.0f} ms at {self.t[1]:.2f} s"
-        text += f", correlation {self.correlation:.2f}"
+        text += f"{self.step}, correlation {self.correlation:.2f}"
         return text + f"; not testable: {', '.join(self.untested)}" * bool(self.untested)
 
 
@@ -87,58 +85,43 @@ def find_clock(sensed: Signal, force: Signal, where: str) -> ClockFit:
         raise refused("one of them is flat")
     pair = _Pair(sensed, force)
     t, span, one = pair.t, float(np.ptp(pair.t)), np.ones((len(pair.t), 1))
-    reach = int(np.ceil(_DRIFT_MOST * span / (2 * _RESOLUTION)))
-    drifts = np.linspace(-_DRIFT_MOST, _DRIFT_MOST, 2 * reach + 1)[:, None]
-    pairs = [pair.left(pair.some, pair.lags[:, None] + each * (t - t[0])) for each in drifts]
-    left = np.array([squares / power for squares, power in pairs])
-    row, column = np.unravel_index(int(left.argmin()), left.shape)
-    middle = pair.lags + drifts * span / 2
-    rival = left[np.abs(middle - middle[row, column]) > 10 * _RESOLUTION].min() / left.min()
-    fit = pair.refined([middle[row, column], drifts[row, 0]], np.c_[one, t - t.mean()])
+    start, rival = pair.searched()
+    fit = pair.refined(start, np.c_[one, t - t.mean()])
     changes = np.cumsum(np.interp(t - fit.lag, pair.at, pair.slope) ** 2)
     low, high = np.interp([0.05 * changes[-1], 0.95 * changes[-1]], changes, t)
     testable = high - low >= max(_SPAN * span, _SPAN_S)
-    if not testable or abs(fit.change[1]) * span < _FLOOR * pair.period:
-        fit = pair.refined([float(fit.lag[len(t) // 2])], one)
-    edges: list[int] = []
-    stepped = pair.stepped(fit.basis) if testable else fit
-    if stepped.unexplained < _STEPPED * fit.unexplained:
-        fit, rival = stepped, np.inf
-        edges = [int(fit.basis[:, -1].argmax()) - 1, int(fit.basis[:, -1].argmax())]
+    drift, step = float(fit.change[1]), ""
+    if not testable or abs(drift) * span < _FLOOR * pair.period:
+        fit, drift = pair.refined([float(fit.lag[len(t) // 2])], one), 0.0
+    if testable:
+        stepped, at = pair.stepped(np.c_[one, t - t.mean()] if drift else one)
+        if stepped.unexplained < _STEPPED * fit.unexplained:
+            fit, rival, drift = stepped, np.inf, float(stepped.change[1]) if drift else 0.0
+            step = f", a step of {1e3 * fit.change[-1]:+.0f} ms at {t[at]:.2f} s"
     correlation = float(np.sqrt(max(1 - fit.unexplained, 0)))
     if correlation < _CORRELATED or rival < _RIVAL:
         raise refused(f"they correlate by {correlation:.2f}, and at other lags too")
-    sigma, parts = pair.uncertainty(fit)
-    sigma = float(np.hypot(sigma, (_FLOOR if testable else _FLOOR_NEAR) * pair.period))
-    if testable and np.abs(parts).max() > _APART * pair.period:
-        raise refused(f"parts of it differ by {1e3 * np.ptp(parts):.0f} ms", MissingAnswer)
-    if sigma > _WIDEST * pair.period:
-        raise refused(f"it is known to ± {1.96e3 * sigma:.0f} ms (95 %) only")
+    if testable and np.abs(fit.parts).max() > _APART * pair.period:
+        raise refused(f"parts of it differ by {1e3 * np.ptp(fit.parts):.0f} ms", MissingAnswer)
+    if fit.sigma > _WIDEST * pair.period:
+        raise refused(f"it is known to ± {1.96e3 * fit.sigma:.0f} ms (95 %) only")
     thirds = np.diff(np.interp(np.linspace(t[0], t[-1], 4), t, changes)) / changes[-1]
     untested = [name for name, each in zip(_THIRDS, thirds, strict=True) if each < _TELLS]
     untested += [] if testable else [DRIFT]
-    ends = [0, *edges, len(t) - 1]
-    return ClockFit(t[ends], fit.lag[ends], sigma, correlation, tuple(untested))
+    sigma = float(np.hypot(fit.sigma, (_FLOOR if testable else _FLOOR_NEAR) * pair.period))
+    return ClockFit(t, fit.lag, drift, step, sigma, correlation, tuple(untested))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Fit:
-    """Lags of pictures, and what they leave of the force."""
+class _Fit(NamedTuple):
+    """Lags of pictures (n,) by coefficients (k,), and what they leave of the force."""
 
     lag: Floats
-    """Lag of each picture (n,) [s]."""
-    basis: Floats
-    """Columns by which it can change (n, k)."""
     change: Floats
-    """Coefficient of each (k,)."""
-    some: NDArray[np.intp]
-    """Pictures at which the force is known (m,)."""
-    residual: Floats
-    """Force that these do not explain (m,)."""
-    slope: Floats
-    """Its derivative by the coefficients, negative (m, k)."""
     unexplained: float
-    """Part of the force's squares that is left."""
+    sigma: float
+    """Standard uncertainty of the lag where it is largest, by the parts of the recording [s]."""
+    parts: Floats
+    """Difference of the lag in larger parts that tell it [s]."""
 
 
 class _Pair:
@@ -147,7 +130,7 @@ class _Pair:
     def __init__(self, sensed: Signal, force: Signal) -> None:
         self.t, at = sensed.t_ns * NS, force.t_ns * NS
         self.some = np.arange(0, len(self.t), max(1, len(self.t) // _SEARCHED))
-        most = min(_LAG_MOST, _OVERLAP * float(np.ptp(self.t)))
+        most = min(_LAG_MOST, _LAG_PART * float(np.ptp(self.t)))
         self.lags = np.arange(-most, most + _RESOLUTION / 2, _RESOLUTION)
         self.period = float(np.median(np.diff(self.t)))
         self.at = np.arange(at[0], at[-1], self.period / 8)
@@ -161,66 +144,71 @@ class _Pair:
         past = [(total - np.interp(self.t - each, self.t, total)) / each for each in _PAST]
         self.crept = np.column_stack([self.shown, *past])
 
-    def left(self, some: NDArray[np.intp], lags: Floats) -> tuple[Floats, Floats]:
-        """Return squares of the force that some pictures leave at lags (k, n or 1), and all."""
+    def left(self, some: NDArray[np.intp], lags: Floats) -> Floats:
+        """Return squares that pictures leave of the force at lags (k, n or 1), and all (2, k)."""
         lags = np.broadcast_to(lags, (len(lags), len(self.t)))[:, some]
         force = np.interp(self.t[some] - lags, self.at, self.force)
         force -= force.mean(axis=1, keepdims=True)
         power = np.maximum((force**2).sum(axis=1), 1e-9)
-        return power - ((force @ np.linalg.qr(self.shown[some])[0]) ** 2).sum(axis=1), power
+        basis = np.linalg.qr(self.shown[some])[0]
+        return np.stack([power - ((force @ basis) ** 2).sum(axis=1), power])
+
+    def searched(self) -> tuple[Floats, float]:
+        """Return middle lag and drift that leave least, and what the best far from it leaves."""
+        span = float(np.ptp(self.t))
+        reach = int(np.ceil(_DRIFT_MOST * span / (2 * _RESOLUTION)))
+        drifts = np.linspace(-_DRIFT_MOST, _DRIFT_MOST, 2 * reach + 1)[:, None]
+        way = self.t - self.t[0]
+        left = [self.left(self.some, self.lags[:, None] + each * way) for each in drifts]
+        parts = np.array([squares / power for squares, power in left])
+        middle = self.lags + drifts * span / 2
+        best = np.unravel_index(int(parts.argmin()), parts.shape)
+        rival = parts[np.abs(middle - middle[best]) > 10 * _RESOLUTION].min() / parts[best]
+        return np.array([middle[best], drifts[best[0], 0]]), float(rival)
 
     def refined(self, start: Any, basis: Floats) -> _Fit:
-        """Return the fit that leaves least near some coefficients (k,), by Gauss-Newton."""
+        """Return the fit that leaves least near some coefficients (k,) of a basis (n, k)."""
         change = np.asarray(start, np.float64)
-        for _ in range(15):
+        for _ in range(15):  # Gauss-Newton
             at = self.t - basis @ change
             some = np.flatnonzero((at >= self.at[0]) & (at <= self.at[-1]))
-            if len(some) < _FEWEST:
-                some = np.arange(len(at))
+            some = some if len(some) >= _FEWEST else np.arange(len(at))
             shown = np.linalg.qr(self.crept[some])[0]
             force = np.interp(at[some], self.at, self.force)
             slope = np.interp(at[some], self.at, self.slope)[:, None] * basis[some]
             residual, slope = (each - shown @ (shown.T @ each) for each in (force, slope))
             change = change + np.linalg.lstsq(slope, residual, rcond=None)[0]
         unexplained = float(residual @ residual / max(len(some) * force.var(), 1e-9))
-        return _Fit(basis @ change, basis, change, some, residual, slope, unexplained)
+        ends = np.linspace(self.t[0], self.t[-1], _PARTS + 1)[1:-1]
+        rows = np.split(np.arange(len(some)), self.t[some].searchsorted(ends))
+        pull = np.array([slope[each].T @ residual[each] for each in rows])
+        known = np.array([(slope[each, 0] ** 2).sum() for each in rows])
+        inverse = np.linalg.pinv(slope.T @ slope)
+        active = int((known > 0.1 * known.mean()).sum())
+        spread = inverse @ (pull.T @ pull) @ inverse * active / max(active - len(inverse), 1)
+        sigma = np.sqrt(np.einsum("ij,jk,ik->i", basis, spread, basis).max())
+        known, pull = (each.reshape(_AGREE, -1).sum(axis=1) for each in (known, pull[:, 0]))
+        tells = known > 0.5 * known.mean()
+        return _Fit(basis @ change, change, unexplained, float(sigma), pull[tells] / known[tells])
 
-    def stepped(self, basis: Floats) -> _Fit:
-        """Return the fit that leaves least with a step of the lag as another column."""
-        count, some = len(self.t), self.some
-        halves = []
+    def stepped(self, basis: Floats) -> tuple[_Fit, int]:
+        """Return the fit with a step of the lag as another column, and the picture behind it."""
+        count, some, halves = len(self.t), self.some, []
         for at in np.linspace(0, count, _PARTS + 1)[3:-3]:
-            left = [
-                self.left(each, self.lags[:, None])[0]
-                for each in np.split(some, [some.searchsorted(at)])
-            ]
-            halves.append(
-                (sum(each.min() for each in left), *(self.lags[each.argmin()] for each in left))
-            )
+            sides = np.split(some, [some.searchsorted(at)])
+            left = [self.left(each, self.lags[:, None])[0] for each in sides]
+            halves.append((sum(map(min, left)), *(self.lags[each.argmin()] for each in left)))
         _, early, late = (np.full(count, each) for each in min(halves))
         ends = some[len(some) // 8 : -len(some) // 8]
         for _ in range(3):
             lags = np.where(np.arange(count) < ends[:, None], early, late)
-            later = np.arange(count) >= ends[self.left(some, lags)[0].argmin()]
+            at = int(ends[self.left(some, lags)[0].argmin()])
+            later = np.arange(count) >= at
             start = [early.mean(), *np.zeros(basis.shape[1] - 1), (late - early).mean()]
             fit = self.refined(start, np.c_[basis, later])
             early = fit.lag - later * fit.change[-1]
             late = early + fit.change[-1]
-        return fit
-
-    def uncertainty(self, fit: _Fit) -> tuple[float, Floats]:
-        """Return the standard uncertainty of the lag [s], and how parts differ from it [s]."""
-        ends = np.linspace(self.t[0], self.t[-1], _PARTS + 1)[1:-1]
-        rows = np.split(np.arange(len(fit.some)), self.t[fit.some].searchsorted(ends))
-        score = np.array([fit.slope[each].T @ fit.residual[each] for each in rows])
-        known = np.array([(fit.slope[each, 0] ** 2).sum() for each in rows])
-        inverse = np.linalg.pinv(fit.slope.T @ fit.slope)
-        active = int((known > 0.1 * known.mean()).sum())
-        spread = inverse @ (score.T @ score) @ inverse * active / max(active - len(inverse), 1)
-        variance = np.einsum("ij,jk,ik->i", fit.basis, spread, fit.basis).max()
-        known, pull = (each.reshape(_AGREE, -1).sum(axis=1) for each in (known, score[:, 0]))
-        tells = known > 0.5 / _AGREE * known.sum()
-        return float(np.sqrt(variance)), pull[tells] / known[tells]
+        return fit, at
 
 
 def _components(rows: NDArray[Any], count: int) -> Floats:

@@ -4,7 +4,7 @@ import datetime
 import hashlib
 import math
 import re
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -36,6 +36,7 @@ from recorder.convert.import_tracks import (
     Take,
     Times,
     indenter_of,
+    rate_of,
     require_advance,
 )
 from recorder.errors import SessionError
@@ -91,8 +92,6 @@ class Draft:
     """End of what is written."""
     lag: ClockFit | None = None
     """Lag that was found between images or taxels and forces."""
-    time_sigma: float | None = None
-    """Standard uncertainty of the times of images or taxels against forces [s]."""
     assumed: tuple[str, ...] = ()
     """Messages on assumptions and changes."""
 
@@ -123,7 +122,7 @@ def _draft(take: Take, answers: Answers) -> Draft:
     for track in take.tracks:
         assumed += track.content.assumed
     sensed = _sensor_signal(take)
-    take, lag, time_sigma, messages = _on_one_clock(take, sensed, answers)
+    take, lag, messages = _on_one_clock(take, sensed, answers)
     assumed += messages
     if sensed is not None and (sensor := _sensor_track(take)) is not None:
         sensed = replace(sensed, t_ns=sensor.content.t_ns)
@@ -153,9 +152,7 @@ def _draft(take: Take, answers: Answers) -> Draft:
             f"{take.name}: without contact from {begin:.3f} to {end_s:.3f} s{zero}, "
             f"{len(presses)} presses by {trace.name}"
         )
-    return Draft(
-        take, indenter, no_contact, tuple(presses), trace, end_ns, lag, time_sigma, tuple(assumed)
-    )
+    return Draft(take, indenter, no_contact, tuple(presses), trace, end_ns, lag, tuple(assumed))
 
 
 def _shrunk(image: Any) -> NDArray[np.uint8]:
@@ -200,35 +197,34 @@ def _force(take: Take) -> Signal | None:
 
 def _on_one_clock(
     take: Take, sensed: Signal | None, answers: Answers
-) -> tuple[Take, ClockFit | None, float | None, list[str]]:
-    """Return the recording with its lag taken out, that lag, its uncertainty [s], and messages."""
-    clocks = {track.clock for track in take.tracks}
+) -> tuple[Take, ClockFit | None, list[str]]:
+    """Return the recording with its lag taken out, that lag, and messages."""
     forces, force, track = take.first("force"), _force(take), _sensor_track(take)
-    if forces is None or force is None or track is None or sensed is None:
-        several = len(clocks) > 1
-        together = [f"{take.name}: all files start together"] if several else []
-        return take, None, None, together
-    moving = {track.stream}
-    if apart := track.clock != forces.clock:
-        moving = {each.stream for each in take.tracks if each.clock == track.clock}
+    stills = take.film is not None and take.film.names
+    if forces is None or force is None or track is None or sensed is None or stills:
+        several = len({track.clock for track in take.tracks}) > 1
+        return take, None, [f"{take.name}: all files start together"] if several else []
+    apart = track.clock != forces.clock
+    moving = [each.stream for each in take.tracks if apart and each.clock == track.clock]
+    moving = moving or [track.stream]
     if answers.lag is not None:
-        late = round(answers.lag / NS)
-        moved = _moved(take, moving, lambda t_ns: t_ns - late)
-        return moved, None, None, [f"{take.name}: lag of {answers.lag:+.3f} s by --lag"]
+        moved = _moved(take, moving, lambda t_ns: t_ns - round((answers.lag or 0.0) / NS))
+        return moved, None, [f"{take.name}: lag of {answers.lag:+.3f} s by --lag"]
     try:
         lag = find_clock(sensed, force, take.name)
     except Untestable as untestable:
         if apart:
             raise
         why = str(untestable).partition("; say ")[0]
-        return take, None, None, [f"{take.name}: times are not tested: {why}"]
+        return take, None, [f"{take.name}: times are not tested: {why}"]
     largest = float(np.abs(lag.lag).max())
     doubtful = DRIFT in lag.untested and not apart and largest < _NEAR
     if largest <= 2 * lag.sigma or doubtful:
-        message = f"lag {lag}: {'one clock' if doubtful else 'within that'}, left as it is"
-        return take, lag, math.hypot(lag.sigma, largest), [f"{take.name}: {message}"]
-    message = f"{take.name}: lag {lag}: {', '.join(sorted(moving))} moved by it"
-    return _moved(take, moving, lag.moved), lag, lag.sigma, [message]
+        why = "of one clock by contacts near to each other" if doubtful else "0 is within that"
+        left = replace(lag, sigma=math.hypot(lag.sigma, largest))
+        return take, left, [f"{take.name}: lag {lag}: {why}, so times are left"]
+    message = f"{take.name}: lag {lag}: {', '.join(moving)} moved by it"
+    return _moved(take, moving, lag.moved), lag, [message]
 
 
 def _rest(signal: Signal) -> Span:
@@ -237,18 +233,17 @@ def _rest(signal: Signal) -> Span:
     return int(signal.t_ns[0]), int(signal.t_ns[samples - 1]) + 1
 
 
-def _moved(take: Take, streams: Collection[str], move: Callable[[Times], Times]) -> Take:
+def _moved(take: Take, streams: Sequence[str], move: Callable[[Times], Times]) -> Take:
     """Return the recording with the times of some streams moved, all of them from 0 on."""
-    moved = [
-        move(track.content.t_ns) if track.stream in streams else track.content.t_ns
-        for track in take.tracks
-    ]
-    least = min(0, *(int(t_ns[0]) for t_ns in moved))
+    times = {track.stream: track.content.t_ns for track in take.tracks}
+    times |= {stream: move(times[stream]) for stream in streams}
+    least = min(0, *(int(t_ns[0]) for t_ns in times.values()))
     tracks = []
-    for track, t_ns in zip(take.tracks, moved, strict=True):
+    for track in take.tracks:
+        t_ns, content = times[track.stream], track.content
         require_advance(t_ns, f"{track.source}: without its lag, row", 2)
-        rate = track.content.rate_hz * float(np.ptp(track.content.t_ns)) / max(np.ptp(t_ns), 1)
-        content = replace(track.content, t_ns=t_ns - least, rate_hz=rate)
+        rate_hz = content.rate_hz * rate_of(t_ns) / rate_of(content.t_ns)
+        content = replace(content, t_ns=t_ns - least, rate_hz=rate_hz)
         tracks.append(replace(track, content=content))
     return replace(take, tracks=tuple(tracks))
 
@@ -486,6 +481,11 @@ def _targets(drafts: Sequence[Draft], answers: Answers) -> dict[str, Any]:
                     depth[row] = max(float(depths[deepest]), 0.0)
                     planned[row] = poses.value[deepest, :3]
                 row += 1
+        if presses and not (depth > 0).any():
+            raise SessionError(
+                "--contact-frame: found no pose below its surface in any contact; is it at the "
+                "surface, and does its z axis point out of the sensor?"
+            )
     return {
         "point": np.zeros(presses, np.int16),
         "depth": depth,
@@ -497,14 +497,14 @@ def _targets(drafts: Sequence[Draft], answers: Answers) -> dict[str, Any]:
 def _specs(drafts: Sequence[Draft]) -> list[StreamSpec]:
     """Return the streams of a session."""
     first = [_spec(track) for track in drafts[0].take.tracks]
-    sigmas = [draft.time_sigma for draft in drafts if draft.time_sigma is not None]
-    if len(sigmas) == len(drafts) and (sensor := _sensor_track(drafts[0].take)) is not None:
-        half = 1.96 * max(sigmas)
-        measured = {"method": "agreement with the force at import", "interval_s": [-half, half]}
+    lags = [draft.lag for draft in drafts if draft.lag is not None]
+    if len(lags) == len(drafts):
+        sensor = signal_of((spec.name, spec.traits) for spec in first)
+        half = 1.96 * max(lag.sigma for lag in lags)
+        method = {"method": "agreement with the force at import", "interval_s": [-half, half]}
+        measured = {"latency": 0.0, "latency_calibration": method}
         first = [
-            replace(spec, attrs={**spec.attrs, "latency": 0.0, "latency_calibration": measured})
-            if spec.name == sensor.stream
-            else spec
+            replace(spec, attrs=spec.attrs | measured) if spec.name == sensor else spec
             for spec in first
         ]
     for draft in drafts[1:]:

@@ -28,7 +28,6 @@ from learning.markers.segment import (
     Morphology,
     Region,
     built_preset,
-    letterboxed,
 )
 from recorder.markers import draw_discs, find_blobs, marker_centres, place_discs
 
@@ -224,4 +223,3 @@ def test_pictures_keep_their_aspect_and_their_filled_edge_has_no_markers(
     apart = np.linalg.norm(expected[:, None] - centres[None], axis=-1)
     assert apart.min(axis=1).max() < 1
     assert len(centres) == len(places)
-    assert bool(letterboxed(shape, segmenter.preset.region)) == (shape != (240, 320))

@@ -447,32 +447,29 @@ def _surface(
 
     Heights fall while force rises, and are the surface's where the force begins.
     """
-    agree, begins = [], []
+    agree, begins = [0.0], []
     for press in presses:
         force = np.linalg.norm(press.wrench[:, :3] - press.wrench[0, :3], axis=1)
         some = np.flatnonzero((press.phase == 0) & (force > 0.02 * force.max()))
-        if len(some) >= 3 and np.ptp(press.depth[some]) > 0:
+        if len(some) > 2 and np.ptp(press.depth[some]) > 0:
             agree.append(float(np.corrcoef(press.depth[some], force[some])[0, 1]))
-            # Force over depth is between a line and a square: Hertz's power is the middle.
+            # Hertz's power of the force is linear in depth; a punch's would be 1.
             some = some[: max(3, len(some) // 2)]
             begins.append(float(np.polyfit(force[some] ** (2 / 3), press.depth[some], 1)[1]))
-    sign = float(np.median(agree)) if agree else 0.0
-    if stated_mm is not None:
-        if sign > _SIGN:
-            raise LearningError(
-                f"{name}: its depth files rise with the force (correlation {sign:.2f}), so they "
-                "hold depths; allowed: no height of the surface"
-            )
-        return 1e-3 * stated_mm, ""
-    if sign > -_SIGN:
-        return None, ""
-    surface, spread = float(np.median(begins)), float(np.std(begins)) / len(begins) ** 0.5
-    published = SURFACES_MM.get(name.lower())
-    if published is not None and abs(1e-3 * published - surface) < _NEAR_SURFACE:
-        return 1e-3 * published, ": the files hold heights, as they fall while force rises"
+    sign = float(np.median(agree[1:] or agree))
+    if stated_mm is not None and sign > _SIGN:
+        raise LearningError(
+            f"{name}: its depth files rise with the force (correlation {sign:.2f}), so they hold "
+            "depths; allowed: no height of the surface"
+        )
+    if stated_mm is not None or sign > -_SIGN:
+        return None if stated_mm is None else 1e-3 * stated_mm, ""
+    surface, half = float(np.median(begins)), 1.96 * float(np.std(begins)) / len(begins) ** 0.5
+    published = 1e-3 * SURFACES_MM.get(name.lower(), math.inf)
+    surface = published if abs(published - surface) < _NEAR_SURFACE else surface
     return surface, (
-        f" (± {2e3 * max(spread, 1e-5):.2g} mm, 95 %): the files hold heights, as they fall while "
-        f"force rises; the surface is where that begins"
+        f" (± {1e3 * half + 0.02:.2g} mm, 95 %): heights, as they fall while force rises, of a "
+        "surface where that begins"
     )
 
 
