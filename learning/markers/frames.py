@@ -28,7 +28,7 @@ from learning.markers.segment import (
     shown_part,
 )
 from recorder.archive import CHUNK_ROWS, MASKS, SHADING, UNIT_ROWS, Frames, MarkerCount, SensorPlan
-from recorder.markers import HEIGHT, WIDTH, MarkerCheck, count_markers, draw_discs, find_blobs, pack, unpack
+from recorder.markers import MarkerCheck, count_markers, draw_discs, find_blobs, pack, unpack
 
 # Keys in the provenance of a frame: result of the marker count, and reason for a missing frame.
 FLAG, INVALID = "marker_flag", "invalid"
@@ -263,7 +263,7 @@ class RecordedSensor:
             first = self._recordings[0]
             shape = first.picture(first.reference_images()[0]).shape
             parts = [(each.start, each.stop) for each in shown_part(shape, self._preset.region)]
-            if parts != [(0, HEIGHT), (0, WIDTH)]:
+            if any(first for first, _ in parts):
                 attrs["view"] = f"letterboxed to rows and columns {parts} of 640 x 480"
         if not all(recording.is_placed for recording in self._recordings):
             attrs |= {"depth": UNKNOWN, "position": UNKNOWN}

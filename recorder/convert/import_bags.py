@@ -26,6 +26,7 @@ from recorder.convert.import_tracks import (
     Times,
     kind_of_name,
     named,
+    rate_of,
     require_advance,
 )
 from recorder.convert.import_video import JPEG, film_of_pictures, pixels_of_picture, size_of_picture
@@ -130,7 +131,7 @@ def _on_one_clock(topics: dict[str, _Topic], name: str) -> tuple[dict[str, Times
     usual = min((int(np.median(each)) for each in late.values()), key=abs)
     assumed = []
     for topic, t_ns in times.items():
-        side = min(round(_STEADY / max(NS * float(np.median(np.diff(t_ns))), 1e-6)), len(t_ns)) // 2
+        side = min(round(_STEADY * rate_of(t_ns)), len(t_ns)) // 2
         padded = np.pad(late[topic] - usual, side, mode="edge")
         windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * side + 1)
         moved = np.median(windows, axis=1).round().astype(np.int64)

@@ -1,4 +1,4 @@
-"""How the clocks of pictures and forces lie to one another: lag, drift and one step.
+"""Lag, drift and one step between the clocks of pictures and of forces.
 
 The force along its main direction is fitted by what pictures show of it, at the lag that leaves
 least: their principal components, and past means of the first, as gel creeps behind a force. Parts
@@ -52,7 +52,7 @@ class ClockFit:
     """Standard uncertainty of the delay, where it is largest [s]."""
     correlation: float
     untested: tuple[str, ...]
-    """What could not be tested, as too little happens: thirds of the recording, drift."""
+    """Thirds of the recording, and drift, that cannot be tested as too little happens."""
 
     def moved(self, t_ns: Times) -> Times:
         """Return times (n,) of the pictures' clock on that of the force [ns]."""
@@ -81,6 +81,8 @@ def find_clock(sensed: Signal, force: Signal, where: str) -> ClockFit:
 
     if (fewest := min(len(sensed.t_ns), len(force.t_ns))) < _FEWEST:
         raise refused(f"{fewest} samples are too few")
+    if (shortest := NS * min(np.ptp(sensed.t_ns), np.ptp(force.t_ns))) < 1.0:
+        raise refused(f"{shortest:.3g} s are too short")
     if not np.ptp(force.rows) > 0 or not np.ptp(sensed.rows) > 0:
         raise refused("one of them is flat")
     pair = _Pair(sensed, force)
@@ -128,7 +130,8 @@ class _Pair:
     """Pictures and forces that are compared."""
 
     def __init__(self, sensed: Signal, force: Signal) -> None:
-        self.t, at = sensed.t_ns * NS, force.t_ns * NS
+        self.t: Floats = np.asarray(sensed.t_ns * NS)
+        at = force.t_ns * NS
         self.some = np.arange(0, len(self.t), max(1, len(self.t) // _SEARCHED))
         most = min(_LAG_MOST, _LAG_PART * float(np.ptp(self.t)))
         self.lags = np.arange(-most, most + _RESOLUTION / 2, _RESOLUTION)
@@ -145,8 +148,7 @@ class _Pair:
         self.crept = np.column_stack([self.shown, *past])
 
     def left(self, some: NDArray[np.intp], lags: Floats) -> Floats:
-        """Return squares that pictures leave of the force at lags (k, n or 1), and all (2, k)."""
-        lags = np.broadcast_to(lags, (len(lags), len(self.t)))[:, some]
+        """Return squares that m pictures leave of the force at lags (k, m or 1), and all (2, k)."""
         force = np.interp(self.t[some] - lags, self.at, self.force)
         force -= force.mean(axis=1, keepdims=True)
         power = np.maximum((force**2).sum(axis=1), 1e-9)
@@ -158,7 +160,7 @@ class _Pair:
         span = float(np.ptp(self.t))
         reach = int(np.ceil(_DRIFT_MOST * span / (2 * _RESOLUTION)))
         drifts = np.linspace(-_DRIFT_MOST, _DRIFT_MOST, 2 * reach + 1)[:, None]
-        way = self.t - self.t[0]
+        way = self.t[self.some] - self.t[0]
         left = [self.left(self.some, self.lags[:, None] + each * way) for each in drifts]
         parts = np.array([squares / power for squares, power in left])
         middle = self.lags + drifts * span / 2
@@ -201,7 +203,7 @@ class _Pair:
         _, early, late = (np.full(count, each) for each in min(halves))
         ends = some[len(some) // 8 : -len(some) // 8]
         for _ in range(3):
-            lags = np.where(np.arange(count) < ends[:, None], early, late)
+            lags = np.where(some < ends[:, None], early[some], late[some])
             at = int(ends[self.left(some, lags)[0].argmin()])
             later = np.arange(count) >= at
             start = [early.mean(), *np.zeros(basis.shape[1] - 1), (late - early).mean()]

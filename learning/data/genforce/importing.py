@@ -87,7 +87,7 @@ TAXELS_MM_PER_PX = 0.03671875
 # Surface heights of the authors' heterogeneous test, where depth is 0 [mm]: these files hold
 # heights, normalised by these values. Elsewhere the files hold depths.
 SURFACES_MM: Mapping[str, float] = {"uskin": 1.08649, "tactip": 4.648126681, "gelsight": 1.12310475}
-# Correlation with the force by which they are told apart, and how far the surface of a published
+# Correlation with the force that shows which they hold, and how far the surface of a published
 # sensor may be from where force begins [m].
 _SIGN, _NEAR_SURFACE = 0.5, 3e-4
 NO_LOCATION = -1
