@@ -140,5 +140,7 @@ def import_folder(folder: Path, options: argparse.Namespace) -> int:
     for name, sensor in MarkerArchive(options.out).items():
         if "found by the markers" in (position := str(sensor.attrs.get("position"))):
             print(f"{name}: {position}; --turn {name}=DEG decides otherwise")
+        if "while force rises" in (depth := str(sensor.attrs.get("depth"))):
+            print(f"{name}: {depth}; --surface-mm {name}=MM decides otherwise")
     print(f"{options.out}: {frames:,} frames read")
     return 0

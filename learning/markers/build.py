@@ -76,6 +76,7 @@ def summary(path: Path) -> tuple[str, ...]:
             fraction = len(flagged) / max(len(sensor), 1)
             text += f"; marker count: {len(flagged)} flagged ({100 * fraction:.2f} %)"
         lines.append(text)
+        lines += [f"  {view}"] if (view := sensor.attrs.get("view")) else []
         lines += [f"  row {row}: {sources[row][FLAG]}" for row in flagged[:NAMED]]
         if len(flagged) > NAMED:
             lines.append(f"  and {len(flagged) - NAMED} more: {FLAG} in their sources")

@@ -25,6 +25,7 @@ from learning.markers.segment import (
     preset,
     preset_of_sensor,
     shading_of,
+    shown_part,
 )
 from recorder.archive import CHUNK_ROWS, MASKS, SHADING, UNIT_ROWS, Frames, MarkerCount, SensorPlan
 from recorder.markers import MarkerCheck, count_markers, draw_discs, find_blobs, pack, unpack
@@ -258,6 +259,12 @@ class RecordedSensor:
             "preset_says": repr(self._preset),
             "wrench_frame": "that of the force/torque sensor, as in the sessions",
         }
+        if not isinstance(self._preset, TaxelPreset):
+            first = self._recordings[0]
+            shape = first.picture(first.reference_images()[0]).shape
+            parts = [(each.start, each.stop) for each in shown_part(shape, self._preset.region)]
+            if any(first for first, _ in parts):
+                attrs["view"] = f"letterboxed to rows and columns {parts} of 640 x 480"
         if not all(recording.is_placed for recording in self._recordings):
             attrs |= {"depth": UNKNOWN, "position": UNKNOWN}
         own = self._recordings[:1] if self._frames.one_reference else self._recordings

@@ -31,7 +31,7 @@ class Region:
     rows: tuple[int, int] | None = None
     """First row and last row + 1 [px of the camera]; None: all of them."""
     columns: tuple[int, int] | None = None
-    """The same for columns. The region is resized to 640 x 480."""
+    """The same for columns. The region is resized to fit into 640 x 480."""
     polygon: tuple[tuple[int, int], ...] = ()
     """Corners as column and row [px of the 640 x 480]; nothing is detected outside. Empty: all."""
 
@@ -269,7 +269,10 @@ _COARSE = 2
 
 
 def view_of(picture: Picture, region: Region) -> Picture:
-    """Return a region of a picture (h, w, 3) as (480, 640, 3)."""
+    """Return a region of a picture (h, w, 3) as (480, 640, 3); its edge fills what it lacks.
+
+    Pixels stay square: a region that is not 4:3 is letterboxed.
+    """
     if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
         raise LearningError(
             f"picture: found {picture.dtype} {picture.shape}; allowed: uint8 (h, w, 3), RGB"
@@ -283,7 +286,22 @@ def view_of(picture: Picture, region: Region) -> Picture:
     view = picture[ends[0], ends[1]]
     if view.shape[:2] == (HEIGHT, WIDTH):
         return view
-    return cv2.resize(view, (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)
+    rows, columns = shown_part(picture.shape, region)
+    size = columns.stop - columns.start, rows.stop - rows.start
+    view = cv2.resize(view, size, interpolation=cv2.INTER_LINEAR)
+    edges = rows.start, HEIGHT - rows.stop, columns.start, WIDTH - columns.stop
+    return cv2.copyMakeBorder(view, *edges, cv2.BORDER_REPLICATE) if any(edges) else view
+
+
+def shown_part(shape: tuple[int, ...], region: Region) -> tuple[slice, slice]:
+    """Return the rows and columns of the 640 x 480 that show a picture (h, w, ...)."""
+    ends = region.rows or (0, shape[0]), region.columns or (0, shape[1])
+    scale = min(HEIGHT / (ends[0][1] - ends[0][0]), WIDTH / (ends[1][1] - ends[1][0]))
+    parts = []
+    for (first, last), whole in zip(ends, (HEIGHT, WIDTH), strict=True):
+        size = round((last - first) * scale)
+        parts.append(slice((whole - size) // 2, (whole - size) // 2 + size))
+    return parts[0], parts[1]
 
 
 class Segmenter:
@@ -291,7 +309,8 @@ class Segmenter:
 
     def __init__(self, preset: CameraPreset) -> None:
         self.preset = preset
-        self._inside = _inside(preset.region)
+        self._shape: tuple[int, ...] = (HEIGHT, WIDTH)
+        self._inside = _inside(preset.region, self._shape)
         shapes = {"ellipse": cv2.MORPH_ELLIPSE, "square": cv2.MORPH_RECT}
         self._elements = [
             cv2.getStructuringElement(shapes[one.shape], (one.size_px, one.size_px))
@@ -312,7 +331,11 @@ class Segmenter:
         Raises:
             LearningError: The picture is invalid, or smaller than the preset's region.
         """
-        return view_of(picture, self.preset.region)
+        view = view_of(picture, self.preset.region)
+        if self._shape != picture.shape:
+            self._shape = picture.shape
+            self._inside = _inside(self.preset.region, self._shape)
+        return view
 
     def mask_of_view(self, view: Picture) -> Mask:
         """Return the mask (480, 640) of a result of `view`."""
@@ -328,8 +351,7 @@ class Segmenter:
         detected = _detected(view, preset.detectors[0])
         for detector in preset.detectors[1:]:
             detected = cv2.bitwise_or(detected, _detected(view, detector))
-        if self._inside is not None:
-            detected = cv2.bitwise_and(detected, self._inside)
+        detected = cv2.bitwise_and(detected, self._inside)
         for step, element in zip(preset.morphology, self._elements, strict=True):
             detected = cv2.morphologyEx(
                 detected, _MORPHOLOGY[step.step], element, iterations=step.times
@@ -446,12 +468,14 @@ def _of_size(pixels: Binary, area_px: tuple[int, int]) -> Mask:
     return np.asarray(fitting[labels])
 
 
-def _inside(region: Region) -> Binary | None:
-    if not region.polygon:
-        return None
-    inside = np.zeros((HEIGHT, WIDTH), np.uint8)
-    cv2.fillPoly(inside, [np.array(region.polygon, np.int32)], 255)
-    return inside
+def _inside(region: Region, shape: tuple[int, ...]) -> Binary:
+    """Return 255 where markers are looked for in a picture (h, w, ...): not in its filled edge."""
+    inside = np.full((HEIGHT, WIDTH), 0 if region.polygon else 255, np.uint8)
+    if region.polygon:
+        cv2.fillPoly(inside, [np.array(region.polygon, np.int32)], 255)
+    shown = np.zeros_like(inside)
+    shown[shown_part(shape, region)] = 255
+    return cv2.bitwise_and(inside, shown)
 
 
 # Presets in YAML: those of this package, by name, and the user's files.

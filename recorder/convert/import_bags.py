@@ -1,7 +1,8 @@
 """Topics of MCAP files and of rosbags 1 and 2, as tracks of one clock.
 
 Messages are known by their fields, whatever their encoding: CDR and ROS 1 by `rosbags`, protobuf
-and JSON by `mcap`. A message's own stamp is its time where it has one, else the time of the log.
+and JSON by `mcap`. A message's own stamp is its time where it has one, else the time of the log;
+both are compared, as stamps may be of another clock.
 """
 
 import json
@@ -23,9 +24,11 @@ from recorder.convert.import_tracks import (
     Film,
     RecordedTrack,
     Take,
+    Times,
     kind_of_name,
     named,
     problems,
+    rate_of,
     whole_ns,
 )
 from recorder.convert.import_video import (
@@ -37,6 +40,7 @@ from recorder.convert.import_video import (
     size_of_picture,
 )
 from recorder.errors import SessionError
+from recorder.session.align import NS
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 
@@ -55,6 +59,9 @@ _ENCODINGS = {
 }
 # Names of a stamp's whole seconds and of its nanoseconds.
 _STAMPS = (("sec", "nanosec"), ("sec", "nsec"), ("seconds", "nanos"), ("secs", "nsecs"))
+# Stamps of one clock are logged up to so long after others, or before them; wander so far; and are
+# compared over this time [s].
+_BEHIND, _AHEAD, _WANDER, _STEADY = 0.25, 0.02, 0.05, 1.0
 
 
 @dataclass(slots=True)
@@ -63,6 +70,7 @@ class _Topic:
 
     kind: As
     t_ns: list[int] = field(default_factory=list)
+    log_ns: list[int] = field(default_factory=list)
     values: list[Any] = field(default_factory=list)
     """Numbers of each message; shapes of images."""
     jpeg: bool = True
@@ -89,6 +97,7 @@ def read_bag(path: Path, answers: Answers) -> Take:
         stamp = _stamp(message)
         entry.unstamped += stamp is None
         entry.t_ns.append(log_ns if stamp is None else stamp)
+        entry.log_ns.append(log_ns)
         if kind == "video":
             entry.jpeg = entry.jpeg and isinstance(value, bytes) and value[:2] == JPEG
             entry.values.append(_size(f"{path.name}:{topic}: image", value))
@@ -96,15 +105,17 @@ def read_bag(path: Path, answers: Answers) -> Take:
             entry.values.append(value)
     if not topics:
         raise SessionError(f"{path.name}: found no topic with images, forces, taxels or numbers")
-    start = min(min(entry.t_ns) for entry in topics.values())
-    tracks, assumed = [], [f"{path.name}: {topic}: {why}" for topic, why in left_out.items()]
+    clocks, assumed = _on_one_clock(topics, path.name)
+    start = min(int(t_ns.min()) for t_ns in clocks.values())
+    tracks = []
+    assumed += [f"{path.name}: {topic}: {why}" for topic, why in left_out.items()]
     with problems() as part:
         for topic, entry in sorted(topics.items(), key=lambda item: item[1].kind != "video"):
             source = f"{path.name}:{topic}"
             if entry.unstamped:
                 assumed.append(f"{source}: {entry.unstamped} messages without a stamp: log time")
             with part(source):
-                times = np.array([t_ns - start for t_ns in entry.t_ns], np.float64)
+                times = (clocks[topic] - start).astype(np.float64)
                 t_ns = whole_ns(times, f"{source}: message", 0)
                 if entry.kind == "video":
                     content: Content = _film(path, topic, source, entry, t_ns)
@@ -119,6 +130,32 @@ def read_bag(path: Path, answers: Answers) -> Take:
                     content = numbers_of(source, values, t_ns, entry.kind, answers)
                 tracks.append(RecordedTrack("", entry.kind, content, source, path.name))
     return Take(path.stem, named(tracks), (path,), tuple(assumed))
+
+
+def _on_one_clock(topics: dict[str, _Topic], name: str) -> tuple[dict[str, Times], list[str]]:
+    """Return the times of each topic's messages (n,) [ns], and messages on stamps that were moved.
+
+    Stamps that leave the log are moved by how far they do, by the median of neighbours, so that
+    all are on the clock of the topic that agrees with the log best.
+    """
+    times = {topic: np.array(entry.t_ns, np.int64) for topic, entry in topics.items()}
+    late = {topic: np.array(topics[topic].log_ns, np.int64) - times[topic] for topic in topics}
+    usual = min((int(np.median(each)) for each in late.values()), key=abs)
+    assumed = []
+    for topic, t_ns in times.items():
+        side = min(round(_STEADY * rate_of(t_ns)), len(t_ns)) // 2
+        padded = np.pad(late[topic] - usual, side, mode="edge")
+        windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * side + 1)
+        moved = np.median(windows, axis=1).round().astype(np.int64)
+        low, high = (int(end) * NS for end in (moved.min(), moved.max()))
+        if low >= -_AHEAD and high <= _BEHIND and high - low <= _WANDER:
+            continue
+        times[topic] = t_ns + moved
+        assumed.append(
+            f"{name}:{topic}: its stamps are of another clock: the log is {moved[0] * NS:+.3f} s "
+            f"later at first, {moved[-1] * NS:+.3f} s at last; moved by that"
+        )
+    return times, assumed
 
 
 def _film(path: Path, topic: str, source: str, entry: _Topic, t_ns: Any) -> Film:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageOps
 
 from recorder.charts import BLUE, RED
 from recorder.convert.import_session import Draft
@@ -85,7 +85,7 @@ def _pictures(draft: Draft) -> tuple[tuple[str, str], ...]:
         if row in rows:
             picture: Any = Image.open(io.BytesIO(image)) if isinstance(image, bytes) else None
             picture = picture or Image.fromarray(np.asarray(image))
-            drawn[row] = _png(picture.convert("RGB").resize((240, 180)))
+            drawn[row] = _png(ImageOps.contain(picture.convert("RGB"), (240, 180)))
         if row >= max(rows):
             break
     return tuple((caption, drawn[row]) for (caption, _), row in zip(moments, rows, strict=True))

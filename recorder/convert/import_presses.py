@@ -1,4 +1,4 @@
-"""Presses in a recording that has no plan: when nothing touched, when something did, and lags.
+"""Presses in a recording that has no plan: when nothing touched, and when something did.
 
 A contact shows in the force if it was recorded, else in the images or taxels: as the change from a
 span without contact.
@@ -270,83 +270,3 @@ def _span(t_ns: Times, first: int, length: int) -> Span:
     after = first + length
     end = int(t_ns[after]) if after < len(t_ns) else int(t_ns[after - 1]) + 1
     return int(t_ns[first]), end
-
-
-# Lag between two clocks: that at which the change of one signal explains the other best.
-
-# Largest lag that is looked for, and its resolution [s].
-_LAG_MOST_S, _LAG_STEP_S = 1.0, 0.002
-# A lag counts if the signals correlate at least so, and its interval is at most so wide [s].
-_CORRELATED, _WIDEST_S = 0.7, 0.2
-# Ratio of the sums of squares at the ends of a 95 % interval, for one degree of freedom.
-_CHI2_95 = 3.84
-
-
-@dataclass(frozen=True, slots=True)
-class SignalLag:
-    """Delay of one signal behind another."""
-
-    seconds: float
-    """Best estimate; positive if the first signal shows a contact later than the second."""
-    low: float
-    high: float
-    """Ends of the 95 % interval [s]."""
-    correlation: float
-
-    def __str__(self) -> str:
-        return (
-            f"{1e3 * self.seconds:+.0f} ms (95 %: {1e3 * self.low:+.0f} to "
-            f"{1e3 * self.high:+.0f} ms), correlation {self.correlation:.2f}"
-        )
-
-
-def find_lag(sensed: Trace, force: Trace, where: str) -> SignalLag:
-    """Return how much later images or taxels show contacts than the force does.
-
-    The change of these is compared with the force, shifted; residuals are correlated in time,
-    so the interval counts only the independent ones.
-    """
-
-    def refuse(why: str) -> MissingAnswer:
-        return MissingAnswer(
-            "lag",
-            f"{where}: the lag of {sensed.name} behind {force.name} cannot be found: {why}",
-            ("SECONDS", "0 if they started together"),
-        )
-
-    lags = np.arange(-_LAG_MOST_S, _LAG_MOST_S + _LAG_STEP_S / 2, _LAG_STEP_S)
-    t, at = sensed.t_ns * NS, force.t_ns * NS
-    if len(t) < 8 or len(at) < 8:
-        raise refuse(f"{min(len(t), len(at))} samples are too few")
-    if not float(np.ptp(force.value)) > 0 or not float(np.ptp(sensed.value)) > 0:
-        raise refuse("one of them is flat")
-    errors, correlations = np.full(len(lags), np.inf), np.zeros(len(lags))
-    residuals: dict[int, Floats] = {}
-    for index, lag in enumerate(lags):
-        there = (t - lag >= at[0]) & (t - lag <= at[-1])
-        if there.sum() < max(8, 0.6 * len(t)):
-            continue
-        pressing = np.interp(t[there] - lag, at, force.value)
-        change = sensed.value[there]
-        if not np.ptp(pressing) > 0 or not np.ptp(change) > 0:
-            continue
-        design = np.stack([np.ones_like(pressing), pressing], axis=1)
-        fit: Any = np.linalg.lstsq(design, change, rcond=None)[0]
-        residual = change - design @ fit
-        # Per sample, as fewer overlap at a large lag.
-        errors[index] = float(np.mean(residual**2)) / float(np.var(sensed.value))
-        correlations[index] = float(np.corrcoef(pressing, change)[0, 1])
-        residuals[index] = residual
-    best = int(np.argmin(errors))
-    if not np.isfinite(errors[best]) or correlations[best] < _CORRELATED:
-        raise refuse(f"they correlate by {correlations[best]:.2f} at most")
-    near = residuals[best]
-    power = float(near @ near)
-    memory = float(near[1:] @ near[:-1]) / power if power > 0 else 0.0
-    independent = max(len(near) * (1 - memory) / (1 + max(memory, 0.0)), 3.0)
-    floor = max(errors[best], 1e-6)
-    likely = np.flatnonzero(errors <= floor * (1 + _CHI2_95 / independent) + 1e-12)
-    low, high = lags[likely[0]] - _LAG_STEP_S, lags[likely[-1]] + _LAG_STEP_S
-    if likely[0] == 0 or likely[-1] == len(lags) - 1 or high - low > _WIDEST_S:
-        raise refuse(f"every lag from {low:+.2f} to {high:+.2f} s explains them as well")
-    return SignalLag(float(lags[best]), float(low), float(high), float(correlations[best]))

@@ -14,14 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.convert.export import building
+from recorder.convert.import_clocks import DRIFT, ClockFit, Untestable, find_clock
 from recorder.convert.import_find import find_takes
 from recorder.convert.import_presses import (
     Press,
     Signal,
-    SignalLag,
     Span,
     Trace,
-    find_lag,
     find_no_contact,
     find_presses,
     force_signal,
@@ -38,6 +37,8 @@ from recorder.convert.import_tracks import (
     Times,
     indenter_of,
     problems,
+    rate_of,
+    whole_ns,
 )
 from recorder.errors import SessionError
 from recorder.progress import ReportItems
@@ -66,6 +67,8 @@ _LENGTH_LEAST = 0.1
 # Rows and columns of the pictures in which contacts are looked for: 2.7 kB each, as all of a
 # recording are held in memory.
 _SMALL = (30, 30)
+# Lag of one clock that is left if only contacts near to each other show it [s].
+_NEAR = 0.15
 # Frames without contact that are kept before and after a press, if there are some.
 _AROUND = 2
 # File names of single pictures that show no contact.
@@ -88,7 +91,7 @@ class Draft:
     """Change in which they were found."""
     end_ns: int
     """End of what is written."""
-    lag: SignalLag | None = None
+    lag: ClockFit | None = None
     """Lag that was found between images or taxels and forces."""
     assumed: tuple[str, ...] = ()
     """Messages on assumptions and changes."""
@@ -134,6 +137,12 @@ def _draft(take: Take, answers: Answers) -> Draft:
     if end < max(seconds.values()):
         assumed.append(f"{take.name}: all cut to {end:.3f} s, the length of the shortest")
     end_ns = round(end * 1e9)
+    for track in take.tracks:
+        if track.content.t_ns[0] >= end_ns:
+            raise SessionError(
+                f"{track.source}: begins at {NS * track.content.t_ns[0]:.3f} s, after the end of "
+                f"another at {end:.3f} s; are its times of another clock?"
+            )
     film = take.film
     if film is not None and film.names and sensed is not None:
         no_contact, presses, trace = _stills(film, sensed, answers)
@@ -199,24 +208,34 @@ def _force(take: Take) -> Signal | None:
 
 def _on_one_clock(
     take: Take, sensed: Signal | None, answers: Answers
-) -> tuple[Take, SignalLag | None, list[str]]:
-    """Return the recording with the lag of another clock taken out, that lag, and messages."""
-    clocks = list(dict.fromkeys(track.clock for track in take.tracks))
+) -> tuple[Take, ClockFit | None, list[str]]:
+    """Return the recording with its lag taken out, that lag, and messages."""
     forces, force, track = take.first("force"), _force(take), _sensor_track(take)
-    if len(clocks) == 1 or forces is None or track is None or track.clock == forces.clock:
-        several = len(clocks) > 1
+    stills = take.film is not None and take.film.names
+    if forces is None or force is None or track is None or sensed is None or stills:
+        several = len({track.clock for track in take.tracks}) > 1
         return take, None, [f"{take.name}: all files start together"] if several else []
+    apart = track.clock != forces.clock
+    moving = [each.stream for each in take.tracks if apart and each.clock == track.clock]
+    moving = moving or [track.stream]
     if answers.lag is not None:
-        moved = _shifted(take, track.clock, answers.lag)
+        moved = _moved(take, moving, lambda t_ns: t_ns - round((answers.lag or 0.0) / NS))
         return moved, None, [f"{take.name}: lag of {answers.lag:+.3f} s by --lag"]
-    if sensed is None or force is None:
-        raise MissingAnswer("lag", f"{take.name}: the lag between its files is unknown")
-    pressed = force.change(_rest(force))
-    lag = find_lag(sensed.change(_rest(sensed)), pressed, take.name)
-    if lag.low <= 0 <= lag.high:
-        return take, lag, [f"{take.name}: lag {lag}: its files start together, to within that"]
-    message = f"{take.name}: lag {lag}: all but {track.source} was moved by it"
-    return _shifted(take, track.clock, lag.seconds), lag, [message]
+    try:
+        lag = find_clock(sensed, force, take.name)
+    except Untestable as untestable:
+        if apart:
+            raise
+        why = str(untestable).partition("; say ")[0]
+        return take, None, [f"{take.name}: times are not tested: {why}"]
+    largest = float(np.abs(lag.lag).max())
+    doubtful = DRIFT in lag.untested and not apart and largest < _NEAR
+    if largest <= 2 * lag.sigma or doubtful:
+        why = "of one clock by contacts near to each other" if doubtful else "0 is within that"
+        left = replace(lag, sigma=math.hypot(lag.sigma, largest))
+        return take, left, [f"{take.name}: lag {lag}: {why}, so times are left"]
+    message = f"{take.name}: lag {lag}: {', '.join(moving)} moved by it"
+    return _moved(take, moving, lag.moved), lag, [message]
 
 
 def _rest(signal: Signal) -> Span:
@@ -225,14 +244,19 @@ def _rest(signal: Signal) -> Span:
     return int(signal.t_ns[0]), int(signal.t_ns[samples - 1]) + 1
 
 
-def _shifted(take: Take, clock: str, seconds: float) -> Take:
-    """Return the recording with the times of all clocks but one later by `seconds`, from 0 on."""
-    by = {track.clock: round(seconds * 1e9) for track in take.tracks} | {clock: 0}
-    least = min(int(track.content.t_ns[0]) + by[track.clock] for track in take.tracks)
+def _moved(take: Take, streams: Sequence[str], move: Callable[[Times], Times]) -> Take:
+    """Return the recording with the times of some streams moved, all of them from 0 on."""
+    times = {track.stream: track.content.t_ns for track in take.tracks}
+    times |= {stream: move(times[stream]) for stream in streams}
+    least = min(0, *(int(t_ns[0]) for t_ns in times.values()))
     tracks = []
     for track in take.tracks:
-        t_ns = track.content.t_ns + (by[track.clock] - min(least, 0))
-        tracks.append(replace(track, content=replace(track.content, t_ns=t_ns)))
+        content = track.content
+        moved = (times[track.stream] - least).astype(np.float64)
+        t_ns = whole_ns(moved, f"{track.source}: without its lag, row", 2)
+        rate_hz = content.rate_hz * rate_of(t_ns) / rate_of(content.t_ns)
+        content = replace(content, t_ns=t_ns, rate_hz=rate_hz)
+        tracks.append(replace(track, content=content))
     return replace(take, tracks=tuple(tracks))
 
 
@@ -469,6 +493,11 @@ def _targets(drafts: Sequence[Draft], answers: Answers) -> dict[str, Any]:
                     depth[row] = max(float(depths[deepest]), 0.0)
                     planned[row] = poses.value[deepest, :3]
                 row += 1
+        if presses and not (depth > 0).any():
+            raise SessionError(
+                "--contact-frame: found no pose below its surface in any contact; is it at the "
+                "surface, and does its z axis point out of the sensor?"
+            )
     return {
         "point": np.zeros(presses, np.int16),
         "depth": depth,
@@ -480,6 +509,16 @@ def _targets(drafts: Sequence[Draft], answers: Answers) -> dict[str, Any]:
 def _specs(drafts: Sequence[Draft]) -> list[StreamSpec]:
     """Return the streams of a session."""
     first = [_spec(track) for track in drafts[0].take.tracks]
+    lags = [draft.lag for draft in drafts if draft.lag is not None]
+    if len(lags) == len(drafts):
+        sensor = signal_of((spec.name, spec.traits) for spec in first)
+        half = 1.96 * max(lag.sigma for lag in lags)
+        method = {"method": "agreement with the force at import", "interval_s": [-half, half]}
+        measured = {"latency": 0.0, "latency_calibration": method}
+        first = [
+            replace(spec, attrs=spec.attrs | measured) if spec.name == sensor else spec
+            for spec in first
+        ]
     for draft in drafts[1:]:
         own = [_spec(track) for track in draft.take.tracks]
         if [(each.name, each.columns) for each in own] != [

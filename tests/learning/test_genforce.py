@@ -213,13 +213,30 @@ def test_pictures_lists_apart_and_missing_depths_and_forces_are_read(tmp_path: P
     assert not (tmp_path / "out" / "force" / "uskin_a").exists()
 
 
-def test_heights_become_depths_below_the_surface(root: Path, tmp_path: Path) -> None:
-    place = root / "depth" / "Array1" / "cone" / "1"
-    np.savetxt(place / "inc_z.csv", np.linspace(1.2, 0.0, 8))
-    table = imported(root, surfaces_mm={"Array1": 1.0})["Array1"].table
-    rows = (table["indenter"] == NAMES.index("cone")) & (table["target"] == 0)
-    expected = np.maximum(1.0 - np.linspace(1.2, 0.0, 8), 0) * 1e-3
-    np.testing.assert_allclose(table["depth"][rows][:8], expected, atol=1e-15)
+@pytest.mark.parametrize(
+    ("name", "surface", "stated"),
+    [("tactip", 4.648126681, False), ("Array1", 3.2, False), ("Array1", 1.0, True)],
+)
+def test_heights_are_told_by_falling_while_force_rises_and_become_depths(
+    name: str, surface: float, stated: bool, tmp_path: Path
+) -> None:
+    ends = [0, *LAST]
+    below = np.interp(np.arange(FRAMES), ends, [0, 1.5, 1.5, 1.5, 0])
+    force = np.outer(below**1.5, [0, 0, -4.0, 0, 0, 0])
+    made = {"last": LAST, "mask_of": mask_of, "force_of": lambda _: force, "depths": True}
+    root = training_folder(tmp_path / "homo", (name,), INDENTERS, POINTS, **made)
+    heights = (surface - below[: LAST[1] + 1], surface - below[LAST[1] + 1 :])
+    for place in (root / "depth" / name).glob("*/*"):
+        for half, values in zip(("inc", "dec"), heights, strict=True):
+            np.savetxt(place / f"{half}_z.csv", values)
+    sensor = imported(root, surfaces_mm={name: surface} if stated else {})[name]
+    np.testing.assert_allclose(sensor.table["depth"][:FRAMES], 1e-3 * below, atol=1e-5)
+    assert ("fall while force rises" in sensor.attrs["depth"]) != stated
+
+
+def test_a_surface_is_refused_for_files_of_depths(root: Path) -> None:
+    with pytest.raises(LearningError, match="Array1: its depth files rise with the force"):
+        imported(root, surfaces_mm={"Array1": 1.0})
 
 
 def cut(size: int) -> Change:

@@ -113,7 +113,8 @@ def test_the_authors_tactip_pipeline_finds_white_pins_in_its_hexagon() -> None:
         cv2.circle(picture, (column, row), 7, (255, 255, 255), -1)
     centres = marker_centres(Segmenter(camera_preset("tacpalm")).mask(picture))
     expected = [
-        ((c - 180 + 0.5) * 640 / 330 - 0.5, (r - 50 + 0.5) * 480 / 330 - 0.5) for c, r in inside
+        (80 + (c - 180 + 0.5) * 480 / 330 - 0.5, (r - 50 + 0.5) * 480 / 330 - 0.5)
+        for c, r in inside
     ]
     assert len(centres) == len(inside)
     apart = np.linalg.norm(np.array(expected)[:, None] - centres[None], axis=-1)
@@ -202,3 +203,23 @@ def test_taxels_are_drawn_less_those_without_contact() -> None:
     content = {"kind": "taxels", "description": "", "discs": {"shear_per_count": 1e-4}}
     halved = taxel_masks(counts + no_contact, no_contact, built_preset(content, "own"))
     np.testing.assert_array_equal(halved, draw_discs(counts * (0.5, 0.5, 1.0)))
+
+
+@pytest.mark.parametrize("shape", [(320, 240), (240, 320), (240, 426)])
+def test_pictures_keep_their_aspect_and_their_filled_edge_has_no_markers(
+    shape: tuple[int, int],
+) -> None:
+    """A marker at the edge of the picture does not go on into what fills the 640 x 480."""
+    picture = np.full((*shape, 3), 180, np.uint8)
+    places = [(c, r) for c in range(0, shape[1], 40) for r in range(0, shape[0], 40)]
+    for place in places:
+        cv2.circle(picture, place, 8, (20, 20, 20), -1)
+    segmenter = Segmenter(CameraPreset("", (Dark(100),)))
+    centres = marker_centres(segmenter.mask(picture))
+    scale = min(480 / shape[0], 640 / shape[1])
+    first = (640 - round(scale * shape[1])) // 2, (480 - round(scale * shape[0])) // 2
+    inner = [(c, r) for c, r in places if 8 < c < shape[1] - 8 and 8 < r < shape[0] - 8]
+    expected = np.array(first) + (np.array(inner) + 0.5) * scale - 0.5
+    apart = np.linalg.norm(expected[:, None] - centres[None], axis=-1)
+    assert apart.min(axis=1).max() < 1
+    assert len(centres) == len(places)

@@ -16,7 +16,8 @@ from learning.data.matching import SensorSelection, read_presses
 from learning.evaluation.baseline import fit_ridge
 from recorder import MarkerArchive, Session, check, faults
 from recorder.archive import SHADING_ZERO
-from recorder.convert.import_presses import Trace, find_lag
+from recorder.convert.import_clocks import find_clock
+from recorder.convert.import_presses import Signal
 from recorder.convert.import_tracks import MissingAnswer
 from tactile.__main__ import main
 
@@ -228,11 +229,10 @@ def test_the_lag_of_a_force_file_is_found_with_its_interval_and_taken_out(tmp_pa
 
 def test_a_flat_signal_has_no_lag() -> None:
     times = (np.arange(60) * 1e9 / 30).astype(np.int64)
-    noise = np.random.default_rng(0).normal(0, 1, 60)
-    shown, flat = Trace("image", times, abs(noise)), Trace("force", times, np.ones(60))
-    for force in (flat, Trace("force", times, abs(np.roll(noise[::-1], 7)))):
+    noise = np.random.default_rng(0).normal(0, 1, (60, 1))
+    for force in (np.ones((60, 1)), np.roll(noise[::-1], 7, axis=0)):
         with pytest.raises(MissingAnswer, match=r"--lag \(SECONDS or 0 if they started together\)"):
-            find_lag(shown, force, "x")
+            find_clock(Signal("image", times, noise), Signal("force", times, force), "x")
 
 
 def test_forces_that_rise_under_contact_are_refused(

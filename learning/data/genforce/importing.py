@@ -87,6 +87,9 @@ TAXELS_MM_PER_PX = 0.03671875
 # Surface heights of the authors' heterogeneous test, where depth is 0 [mm]: these files hold
 # heights, normalised by these values. Elsewhere the files hold depths.
 SURFACES_MM: Mapping[str, float] = {"uskin": 1.08649, "tactip": 4.648126681, "gelsight": 1.12310475}
+# Correlation with the force that shows which they hold, and how far the surface of a published
+# sensor may be from where force begins [m].
+_SIGN, _NEAR_SURFACE = 0.5, 3e-4
 NO_LOCATION = -1
 # Value of `t_ns`: the folders have no times.
 NO_TIME = 0
@@ -354,7 +357,7 @@ def _training_sensor(folder: _Folder, images: Path, sensor: Path, targets: int) 
             files = _frame_files(point)
             subfolder = Path(indenter.name) / point.name
             wrench, whole = _forces(root / "force" / name, subfolder, files)
-            depth = _depth(root / "depth" / name / subfolder, files, chosen.surfaces_mm.get(name))
+            depth = _depth(root / "depth" / name / subfolder, files)
             have_depths.add(depth is not None)
             torques &= whole
             target = int(point.name) - 1
@@ -385,8 +388,11 @@ def _training_sensor(folder: _Folder, images: Path, sensor: Path, targets: int) 
     depths = DEPTH_UNKNOWN if plan is None else _BY_PLAN
     if have_depths == {True}:
         depths = "inc_z.csv and dec_z.csv, mm"
-        if name in chosen.surfaces_mm:
-            depths += f" below {chosen.surfaces_mm[name]:g} mm"
+        surface, why = _surface(presses, name, chosen.surfaces_mm.get(name))
+        if surface is not None:
+            depths += f" below {1e3 * surface:.4g} mm{why}"
+            presses = [replace(press, depth=surface - press.depth) for press in presses]
+        presses = [replace(press, depth=np.maximum(press.depth, 0.0)) for press in presses]
     about: dict[str, Any] = {
         "depth": depths,
         "position": "unknown: 0" if plan is None else _BY_PLAN,
@@ -420,8 +426,8 @@ def _last(images: Path, place: Path) -> Path:
     return apart if apart.exists() and not beside.exists() else beside
 
 
-def _depth(folder: Path, files: tuple[Path, ...], surface_mm: float | None) -> Array | None:
-    """Return depths (n,) [m], or None if there are none."""
+def _depth(folder: Path, files: tuple[Path, ...]) -> Array | None:
+    """Return depths or heights (n,) [m], or None if there are none."""
     if not folder.is_dir():
         return None
     down, up = read_depths(folder / "inc_z.csv"), read_depths(folder / "dec_z.csv")
@@ -431,8 +437,40 @@ def _depth(folder: Path, files: tuple[Path, ...], surface_mm: float | None) -> A
             f"{folder}: inc_z.csv and dec_z.csv have {len(down)} and {len(up)} values; "
             f"{files[0].parent} has {len(files)} frames"
         )
-    depth = values if surface_mm is None else surface_mm - values
-    return np.asarray(np.maximum(depth, 0.0) * 1e-3, np.float64)
+    return np.asarray(values * 1e-3, np.float64)
+
+
+def _surface(
+    presses: Sequence[GenForcePress], name: str, stated_mm: float | None
+) -> tuple[float | None, str]:
+    """Return the height of the surface [m] and why, if depth files hold heights; None for depths.
+
+    Heights fall while force rises, and are the surface's where the force begins.
+    """
+    agree, begins = [0.0], []
+    for press in presses:
+        force = np.linalg.norm(press.wrench[:, :3] - press.wrench[0, :3], axis=1)
+        some = np.flatnonzero((press.phase == 0) & (force > 0.02 * force.max()))
+        if len(some) > 2 and np.ptp(press.depth[some]) > 0:
+            agree.append(float(np.corrcoef(press.depth[some], force[some])[0, 1]))
+            # Hertz's power of the force is linear in depth; a punch's would be 1.
+            some = some[: max(3, len(some) // 2)]
+            begins.append(float(np.polyfit(force[some] ** (2 / 3), press.depth[some], 1)[1]))
+    sign = float(np.median(agree[1:] or agree))
+    if stated_mm is not None and sign > _SIGN:
+        raise LearningError(
+            f"{name}: its depth files rise with the force (correlation {sign:.2f}), so they hold "
+            "depths; allowed: no height of the surface"
+        )
+    if stated_mm is not None or sign > -_SIGN:
+        return None if stated_mm is None else 1e-3 * stated_mm, ""
+    surface, half = float(np.median(begins)), 1.96 * float(np.std(begins)) / len(begins) ** 0.5
+    published = 1e-3 * SURFACES_MM.get(name.lower(), math.inf)
+    surface = published if abs(published - surface) < _NEAR_SURFACE else surface
+    return surface, (
+        f" (± {1e3 * half + 0.02:.2g} mm, 95 %): heights, as they fall while force rises, of a "
+        "surface where that begins"
+    )
 
 
 # Simulated states. Places are numbered by x, then y, depths in ascending order, over all files; a
