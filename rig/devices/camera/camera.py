@@ -6,8 +6,6 @@ of a network camera a frame that never arrives cannot be seen. A camera queues s
 a late reader; the reader thread takes each on arrival.
 """
 
-from __future__ import annotations
-
 import socket
 from collections.abc import Callable
 from typing import Any
