@@ -112,7 +112,6 @@ class V4l2Driver(CameraDriver):
         self._stamps: dict[str, str] = {}
 
     def _connect(self, timeout: float) -> None:
-        """Open the camera, apply its settings, and check the first frame."""
         self._sequence = None
         address = self._where
         try:
@@ -266,7 +265,6 @@ class MjpegDriver(CameraDriver):
         self._newest: bytes | None = None
 
     def _connect(self, timeout: float) -> None:
-        """Open the stream and check the first frame."""
         self._newest = None
         self._probe(timeout)
         try:
