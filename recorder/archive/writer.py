@@ -304,11 +304,9 @@ class SensorFrames(Protocol):
     @property
     def plan(self) -> SensorPlan:
         """Plan of its part of the archive."""
-        ...
 
     def read(self, rows: slice) -> Frames:
         """Make the given rows."""
-        ...
 
 
 def fill_archive(
