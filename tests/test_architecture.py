@@ -131,7 +131,18 @@ def test_only_the_clock_touches_time() -> None:
 
 
 @pytest.mark.parametrize(
-    "package", ["recorder", "sim", "sim.markers", "learning", "learning.force", "learning.markers"]
+    "package",
+    [
+        "recorder",
+        "sim",
+        "sim.markers",
+        "sim.indenters",
+        "recorder.archive",
+        "recorder.markers",
+        "learning",
+        "learning.force",
+        "learning.markers",
+    ],
 )
 def test_names_imported_on_demand_exist_and_are_no_submodules(package: str) -> None:
     module = import_module(package)
