@@ -142,6 +142,7 @@ def test_only_the_clock_touches_time() -> None:
         "learning",
         "learning.force",
         "learning.markers",
+        "learning.translation",
     ],
 )
 def test_names_imported_on_demand_exist_and_are_no_submodules(package: str) -> None:
