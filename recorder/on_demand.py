@@ -12,8 +12,8 @@ def imports_on_demand(
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """Return the `__getattr__` and `__dir__` of the package whose `__init__.py` is `file`.
 
-    Its public names are those that it imports under `if TYPE_CHECKING`, which is read at the first
-    use: a type checker and the interpreter are told of a name by the same line.
+    Its public names are those that it imports under `if TYPE_CHECKING`. That block is read at the
+    first use, so that one line serves both type checkers and the interpreter.
     """
 
     @cache
