@@ -3,18 +3,12 @@
 A public name is imported when it is first used: the data set needs PyTorch, most commands do not.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from learning.errors import LearningError
+from recorder.on_demand import imports_on_demand
 
 if TYPE_CHECKING:
-    from learning.data.dataset import TactileDataset
+    from learning.data.dataset import TactileDataset as TactileDataset
+    from learning.errors import LearningError as LearningError
 
-__all__ = ["LearningError", "TactileDataset"]
-
-
-def __getattr__(name: str) -> Any:
-    if name == "TactileDataset":
-        return import_module("learning.data.dataset").TactileDataset
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__, __dir__ = imports_on_demand(__name__, __file__)

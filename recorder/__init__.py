@@ -4,105 +4,43 @@ The format is specified in `docs/reference/data-format.md`; this package is its 
 A public name is imported when it is first used: progress and settings need neither Zarr nor NumPy.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from recorder.on_demand import imports_on_demand
 
 if TYPE_CHECKING:
-    from recorder.archive import MarkerArchive
-    from recorder.checks.check import check
-    from recorder.checks.plausible import doubts
-    from recorder.checks.recover import recover
-    from recorder.errors import SessionError
-    from recorder.findings import Finding, faults
-    from recorder.session.align import Window
-    from recorder.session.columns import Stream
-    from recorder.session.reader import Session
-    from recorder.session.sheet import contact_sheet
-    from recorder.session.stream_writer import StreamWriter
-    from recorder.session.tables import to_pandas, to_xarray
-    from recorder.session.writer import SessionWriter
-    from recorder.spec import (
-        FORMAT_VERSION,
-        OUTCOMES,
-        PHASES,
-        REFERENCE,
-        SEGMENTS,
-        Column,
-        StreamSpec,
-        Traits,
-        arm_wrench_spec,
-        camera_spec,
-        depth_spec,
-        event_row,
-        event_text,
-        events_spec,
-        force_spec,
-        joints_spec,
-        pose_spec,
-        taxels_spec,
-    )
+    from recorder.archive import MarkerArchive as MarkerArchive
+    from recorder.checks.check import check as check
+    from recorder.checks.plausible import doubts as doubts
+    from recorder.checks.recover import recover as recover
+    from recorder.errors import SessionError as SessionError
+    from recorder.findings import Finding as Finding
+    from recorder.findings import faults as faults
+    from recorder.session.align import Window as Window
+    from recorder.session.columns import Stream as Stream
+    from recorder.session.reader import Session as Session
+    from recorder.session.sheet import contact_sheet as contact_sheet
+    from recorder.session.stream_writer import StreamWriter as StreamWriter
+    from recorder.session.tables import to_pandas as to_pandas
+    from recorder.session.tables import to_xarray as to_xarray
+    from recorder.session.writer import SessionWriter as SessionWriter
+    from recorder.spec import FORMAT_VERSION as FORMAT_VERSION
+    from recorder.spec import OUTCOMES as OUTCOMES
+    from recorder.spec import PHASES as PHASES
+    from recorder.spec import REFERENCE as REFERENCE
+    from recorder.spec import SEGMENTS as SEGMENTS
+    from recorder.spec import Column as Column
+    from recorder.spec import StreamSpec as StreamSpec
+    from recorder.spec import Traits as Traits
+    from recorder.spec import arm_wrench_spec as arm_wrench_spec
+    from recorder.spec import camera_spec as camera_spec
+    from recorder.spec import depth_spec as depth_spec
+    from recorder.spec import event_row as event_row
+    from recorder.spec import event_text as event_text
+    from recorder.spec import events_spec as events_spec
+    from recorder.spec import force_spec as force_spec
+    from recorder.spec import joints_spec as joints_spec
+    from recorder.spec import pose_spec as pose_spec
+    from recorder.spec import taxels_spec as taxels_spec
 
-__all__ = [
-    "FORMAT_VERSION",
-    "OUTCOMES",
-    "PHASES",
-    "REFERENCE",
-    "SEGMENTS",
-    "Column",
-    "Finding",
-    "MarkerArchive",
-    "Session",
-    "SessionError",
-    "SessionWriter",
-    "Stream",
-    "StreamSpec",
-    "StreamWriter",
-    "Traits",
-    "Window",
-    "arm_wrench_spec",
-    "camera_spec",
-    "check",
-    "contact_sheet",
-    "depth_spec",
-    "doubts",
-    "event_row",
-    "event_text",
-    "events_spec",
-    "faults",
-    "force_spec",
-    "joints_spec",
-    "pose_spec",
-    "recover",
-    "taxels_spec",
-    "to_pandas",
-    "to_xarray",
-]
-
-# Module of each name that is not in `spec`.
-_MODULES = {
-    "Finding": "findings",
-    "MarkerArchive": "archive",
-    "Session": "session.reader",
-    "SessionError": "errors",
-    "SessionWriter": "session.writer",
-    "Stream": "session.columns",
-    "StreamWriter": "session.stream_writer",
-    "Window": "session.align",
-    "check": "checks.check",
-    "contact_sheet": "session.sheet",
-    "doubts": "checks.plausible",
-    "faults": "findings",
-    "recover": "checks.recover",
-    "to_pandas": "session.tables",
-    "to_xarray": "session.tables",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULES.get(name, 'spec')}"), name)
-
-
-def __dir__() -> list[str]:
-    return __all__
+__getattr__, __dir__ = imports_on_demand(__name__, __file__)

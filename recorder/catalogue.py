@@ -220,7 +220,6 @@ def _stamp(status: os.stat_result) -> tuple[int, int, int]:
 
 
 def _read(folder: Path, path: str, stamp: tuple[int, int, int]) -> Row:
-    """Return the row of one session."""
     file = folder / path / _METADATA
     try:
         if stamp[1] > _LARGEST:

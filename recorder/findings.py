@@ -86,7 +86,6 @@ class Finding:
         return "warning" if self.code in WARNINGS else "fault"
 
     def __str__(self) -> str:
-        """Return the printed line."""
         level = "" if self.level == "fault" else f"{self.level}: "
         return f"{self.code:15s} {level}{self.where}: {self.message}"
 

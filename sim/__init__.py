@@ -3,86 +3,35 @@
 A public name is imported when it is first used: a tier that is not needed is not imported.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from recorder.on_demand import imports_on_demand
 
 if TYPE_CHECKING:
-    from sim.effect_sizes import EffectsTable, effects_table
-    from sim.errors import SceneError, SimulationDiverged
-    from sim.fem import Fem
-    from sim.indenters import Indenter
-    from sim.layer import Layer
-    from sim.mpm import Mpm
-    from sim.planning import Plan, plan
-    from sim.result import Quality, Result
-    from sim.scene import (
-        Body,
-        Effects,
-        Friction,
-        Gravity,
-        Inertia,
-        Motion,
-        Scene,
-        Viscosity,
-        from_target,
-        press,
-    )
-    from sim.tiers import simulate, simulate_many
-    from sim.tolerance import replay
+    from sim.effect_sizes import EffectsTable as EffectsTable
+    from sim.effect_sizes import effects_table as effects_table
+    from sim.errors import SceneError as SceneError
+    from sim.errors import SimulationDiverged as SimulationDiverged
+    from sim.fem import Fem as Fem
+    from sim.indenters import Indenter as Indenter
+    from sim.layer import Layer as Layer
+    from sim.mpm import Mpm as Mpm
+    from sim.planning import Plan as Plan
+    from sim.planning import plan as plan
+    from sim.result import Quality as Quality
+    from sim.result import Result as Result
+    from sim.scene import Body as Body
+    from sim.scene import Effects as Effects
+    from sim.scene import Friction as Friction
+    from sim.scene import Gravity as Gravity
+    from sim.scene import Inertia as Inertia
+    from sim.scene import Motion as Motion
+    from sim.scene import Scene as Scene
+    from sim.scene import Viscosity as Viscosity
+    from sim.scene import from_target as from_target
+    from sim.scene import press as press
+    from sim.tiers import simulate as simulate
+    from sim.tiers import simulate_many as simulate_many
+    from sim.tolerance import replay as replay
 
-__all__ = [
-    "Body",
-    "Effects",
-    "EffectsTable",
-    "Fem",
-    "Friction",
-    "Gravity",
-    "Indenter",
-    "Inertia",
-    "Layer",
-    "Motion",
-    "Mpm",
-    "Plan",
-    "Quality",
-    "Result",
-    "Scene",
-    "SceneError",
-    "SimulationDiverged",
-    "Viscosity",
-    "effects_table",
-    "from_target",
-    "plan",
-    "press",
-    "replay",
-    "simulate",
-    "simulate_many",
-]
-
-# Module of each name that is not in `scene`.
-_MODULES = {
-    "EffectsTable": "effect_sizes",
-    "Fem": "fem",
-    "Indenter": "indenters",
-    "Layer": "layer",
-    "Mpm": "mpm",
-    "Plan": "planning",
-    "Quality": "result",
-    "Result": "result",
-    "SceneError": "errors",
-    "SimulationDiverged": "errors",
-    "effects_table": "effect_sizes",
-    "plan": "planning",
-    "replay": "tolerance",
-    "simulate": "tiers",
-    "simulate_many": "tiers",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULES.get(name, 'scene')}"), name)
-
-
-def __dir__() -> list[str]:
-    return __all__
+__getattr__, __dir__ = imports_on_demand(__name__, __file__)

@@ -7,8 +7,6 @@ over the force of the frame or a tenth of the largest one; `percent` is the larg
 error is below the size of a force that symmetry forbids.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Errors of an outcome relative to a reference, and the tolerance of a user: force, markers."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass

@@ -130,7 +130,21 @@ def test_only_the_clock_touches_time() -> None:
     assert not wrong, "use rig.core.clock"
 
 
-@pytest.mark.parametrize("package", ["recorder", "learning.force", "learning.markers"])
+@pytest.mark.parametrize(
+    "package",
+    [
+        "recorder",
+        "sim",
+        "sim.markers",
+        "sim.indenters",
+        "recorder.archive",
+        "recorder.markers",
+        "learning",
+        "learning.force",
+        "learning.markers",
+        "learning.translation",
+    ],
+)
 def test_names_imported_on_demand_exist_and_are_no_submodules(package: str) -> None:
     module = import_module(package)
     with pytest.raises(AttributeError, match="no attribute 'Sitting'"):

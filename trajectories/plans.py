@@ -192,7 +192,6 @@ class PressShear:
         return round(2 * math.pi / self.angle_step)
 
     def __len__(self) -> int:
-        """Return the number of targets."""
         return len(self.points) * self.depth_count * self.direction_count
 
     def position(self, point: int) -> tuple[float, float]:
@@ -294,7 +293,6 @@ class ForceDepth(StraightPresses):
             raise ValueError(f"repeats: {self.repeats!r}; allowed: 1 or more")
 
     def __len__(self) -> int:
-        """Return the number of targets."""
         return self.repeats
 
     def targets(self) -> Iterator[Target]:
@@ -335,7 +333,6 @@ class FirstPress(StraightPresses):
         return ("air", "touch", *(f"{100 * step:.0f} %" for step in _STEPS))
 
     def __len__(self) -> int:
-        """Return the number of presses."""
         return len(self.depths)
 
     def targets(self) -> Iterator[Target]:
@@ -381,7 +378,6 @@ class Touch(StraightPresses):
             raise ValueError(f"points: {self.points!r}; allowed: numbers from 1 to 5")
 
     def __len__(self) -> int:
-        """Return the number of approaches."""
         return len(self.points) * self.repeats
 
     def position(self, point: int) -> tuple[float, float]:
@@ -431,7 +427,6 @@ class Taps(StraightPresses):
             raise ValueError(f"count: {self.count!r}; allowed: 1 or more")
 
     def __len__(self) -> int:
-        """Return the number of taps."""
         return self.count
 
     def _drawn(self) -> tuple[list[float], list[float]]:

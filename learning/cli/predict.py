@@ -1,24 +1,20 @@
 """`tactile predict`: predict the forces of frames in an archive."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from learning.data.splits import SPLIT, Role, training_split
 from learning.errors import LearningError
-from learning.evaluation.predictions import Predictions
+from learning.evaluation.predictions import Predictions, predictions_of
 from learning.metrics import axis_means, by_axis, force_errors
+from recorder.archive import MarkerArchive
 from recorder.command_line.options import add_device, names
 from recorder.progress import ItemProgress
-
-if TYPE_CHECKING:
-    from learning.data.splits import Role
-    from recorder.archive import MarkerArchive
 
 ROLES = "new_indenter,new_press"
 AXES = ("Fx", "Fy", "Fz")
@@ -49,8 +45,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from recorder.archive import MarkerArchive
-
     archive = MarkerArchive(options.archive)
     predictions, lines = predicted(
         options.model, archive, options.sensor, options.split, options.role, options.device
@@ -74,8 +68,6 @@ def predicted(
     or the only one; without a file the split is that of the model's training, else of the archive.
     """
     from learning.data.presses import load_presses
-    from learning.data.splits import SPLIT, training_split
-    from learning.evaluation.predictions import predictions_of
     from learning.force import load_force_model
     from learning.force.folder import model_name
     from learning.force.intervals import read_intervals

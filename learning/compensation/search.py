@@ -79,7 +79,6 @@ class PairedLabels:
     """Codes of phases (n,)."""
 
     def __len__(self) -> int:
-        """Return the number of pairs."""
         return len(self.source)
 
 

@@ -103,11 +103,9 @@ class TactileDataset(Dataset[Sample]):
         self._until = np.cumsum([len(rows) for rows in self._ends])
 
     def __len__(self) -> int:
-        """Return the number of windows."""
         return int(self._until[-1])
 
     def __getitem__(self, number: int) -> Sample:
-        """Return one window."""
         if not -len(self) <= number < len(self):
             raise IndexError(f"no window {number}, there are {len(self):,}")
         number %= len(self)

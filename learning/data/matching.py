@@ -92,7 +92,6 @@ class PlacedPresses:
     """Reason why a press has no place or direction (p,), or an empty text."""
 
     def __len__(self) -> int:
-        """Return the number of presses."""
         return len(self.location)
 
     def subset(self, rows: NDArray[Any]) -> Self:

@@ -40,7 +40,6 @@ class PairedFrames:
     """Rows of source and target frames under the same press (m, 2) int64."""
 
     def __len__(self) -> int:
-        """Return the number of frames."""
         return len(self.images)
 
     @property

@@ -64,7 +64,6 @@ class Presses:
     """Standard deviation of the labels (N, 3) float32 [N], on the device; None: equally certain."""
 
     def __len__(self) -> int:
-        """Return the number of presses."""
         return len(self.starts) - 1
 
     @property

@@ -53,7 +53,6 @@ class Patterns:
     """Shift of each marker within its cell [cells], (n, CELLS * CELLS, 2)."""
 
     def __len__(self) -> int:
-        """Return the number of patterns."""
         return len(self.pitch)
 
     def __getitem__(self, rows: Tensor) -> Patterns:

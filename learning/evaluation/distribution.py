@@ -157,7 +157,6 @@ class Block(nn.Module):
     """One Inception block."""
 
     def __init__(self, before: int, design: BlockDesign) -> None:
-        """Build a block with `before` input channels."""
         super().__init__()
         self.design = design
         ends = []

@@ -105,7 +105,6 @@ class Predictions:
                 raise LearningError(f"{self.target}: {error}") from None
 
     def __len__(self) -> int:
-        """Return the number of frames."""
         return len(self.rows)
 
     @property

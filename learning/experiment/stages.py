@@ -64,7 +64,6 @@ class Places:
     """Paths of an experiment."""
 
     def __init__(self, out: Path, archive: Path) -> None:
-        """Name the paths in the folder `out` of an experiment on an archive."""
         self.out, self.archive = out, archive
         self.split = out / "split.json"
         """File of the roles of presses."""
@@ -408,7 +407,6 @@ class Experiment:
         return self.places.predictions / ".".join(part for part in parts if part)
 
     def _own_model(self, sensor: str) -> tuple[Path, ForceModel]:
-        """Return the model trained on a sensor's own frames and labels."""
         if sensor not in self._own:
 
             def frames() -> tuple[Presses, Presses | None]:
@@ -471,7 +469,6 @@ class Experiment:
                 run.finish(steps, {"model": model})
 
     def _open(self, name: str, settings: ForceModelSettings, data: str) -> RunFolder:
-        """Open the run folder of a force model."""
         data = f"{self._data} {data}"
         return RunFolder.open(self.places.model(name), KIND, settings, data, keep=1)
 
@@ -521,7 +518,6 @@ class Experiment:
     def _translated(
         self, pair: Pair, model: NamedTranslator, fields: dict[tuple[float, float], torch.Tensor]
     ) -> Presses:
-        """Return a source's training presses, translated to a target."""
         packed, _ = self._source(pair.source)
         source, target = self.archive[pair.source], self.archive[pair.target]
         views = SensorView.of(source), SensorView.of(target)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from learning.errors import LearningError
+from learning.markers.pattern import pitch_of
 from learning.markers.track import GATE, SPEED
 from recorder.markers import HEIGHT, SMALLEST_PX, WIDTH, Blobs, Lattice, find_blobs, pack, unpack
 from recorder.processes import Workers
@@ -174,11 +175,7 @@ class Spline:
 
 def pitch(places: Floats) -> float:
     """Return the median distance of nearest neighbours [px]; 0 for a single marker."""
-    if len(places) < 2:
-        return 0.0
-    apart = np.linalg.norm(places[:, None] - places[None], axis=-1)
-    np.fill_diagonal(apart, np.inf)
-    return float(np.median(apart.min(axis=1)))
+    return float(np.median(pitch_of(places))) if len(places) > 1 else 0.0
 
 
 def _spread(places: Floats) -> bool:

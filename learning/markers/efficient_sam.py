@@ -118,7 +118,6 @@ class EfficientSam:
 
 
 def _loaded(path: Path, inputs: tuple[str, ...]) -> Any:
-    """Return an inference session."""
     if not path.is_file():
         raise LearningError(f"{path}: no such file; allowed: a model exported to ONNX")
     try:

@@ -295,7 +295,6 @@ class RecordedSensor:
         )
 
     def _part(self, index: int, rows: slice) -> Frames:
-        """Make frames of one recording."""
         recording = self._recordings[index]
         invalid = recording.invalid()[rows]
         there = np.array([not reason for reason in invalid])

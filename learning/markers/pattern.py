@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from learning.markers.segment import Hat, Mask, Picture, Segmenter, hat_contrast
-from learning.markers.track import GATE, NEIGHBOURS, Tracker
+from learning.markers.track import GATE, Tracker
 from recorder.markers import SMALLEST_PX
 
 Floats = NDArray[np.float64]
@@ -126,8 +126,6 @@ class ReferenceMarkers:
         self._contrast = self._of(reference)
         self._tracker = Tracker(self._centre)
         self._pitch = self._tracker.gate_px / GATE
-        count = min(NEIGHBOURS + 1, len(self._centre))
-        self._around = cKDTree(self._centre).query(self._centre, count)[1].reshape(-1, count)[:, 1:]
         self._patches = patches
 
     def mask_of_view(self, view: Picture) -> Mask:
@@ -140,7 +138,7 @@ class ReferenceMarkers:
         hidden = np.flatnonzero(~visible)
         if not len(hidden) or not visible.any():
             return mask
-        expected = self._neighbourly(moved, visible)
+        expected = self._tracker.by_neighbours(moved, visible)
         contrast = self._of(view)
         owns = np.zeros(int(patches.labels.max()) + 1, np.bool_)
         owns[patches.number[own[visible]]] = True
@@ -177,17 +175,10 @@ class ReferenceMarkers:
         ratio = patches.area[assigned] / self._area
         visible &= (ratio > _AREA_FROM) & (ratio < _AREA_TO)
         for _ in range(2):
-            astray = np.linalg.norm(moved - self._neighbourly(moved, visible), axis=1)
+            expected = self._tracker.by_neighbours(moved, visible)
+            astray = np.linalg.norm(moved - expected, axis=1)
             visible &= astray < _ASTRAY * self._pitch
         return moved, visible, assigned
-
-    def _neighbourly(self, moved: Floats, visible: Flags) -> Floats:
-        """Return the median displacement (m, 2) of the neighbours that were seen."""
-        values = np.where(visible[:, None], moved, np.nan)[self._around]
-        some = visible[self._around].any(axis=1)
-        median = np.zeros_like(moved)
-        median[some] = np.nanmedian(values[some], axis=1)
-        return median
 
     def _recovered_shift(
         self, marker: int, contrast: NDArray[np.float32], expected: Floats

@@ -53,7 +53,6 @@ class Recording:
     """Location of its first target in an archive; None if its targets have no location."""
 
     def __len__(self) -> int:
-        """Return the number of frames."""
         return len(self.rows)
 
     @property

@@ -97,7 +97,7 @@ class Tracker:
         moved = before + SPEED * np.where(self._fresh[:, None], self._step, 0.0)
         if not self._fresh.all():
             # Lost markers have no velocity: they move with their neighbours.
-            moved = np.where(self._fresh[:, None], moved, self._neighbourly(moved, self._fresh))
+            moved = np.where(self._fresh[:, None], moved, self.by_neighbours(moved, self._fresh))
         back = 2 * before - moved
         assigned = self._likeliest((moved, before, back, np.zeros_like(before)), centres)
         matched = assigned >= 0
@@ -105,7 +105,7 @@ class Tracker:
             matched[:, None], centres[assigned] - self.reference if len(centres) else 0.0, moved
         )
         if matched.any() and not matched.all():
-            now = np.where(matched[:, None], now, self._neighbourly(now, matched))
+            now = np.where(matched[:, None], now, self.by_neighbours(now, matched))
             moved = np.where(matched[:, None], moved, now)
         both = matched & self._fresh
         self._step = np.where(both[:, None], now - before, 0.0)
@@ -189,7 +189,7 @@ class Tracker:
         """Assign all markers again by the median of their neighbours, while that matches more."""
         while (matched := assigned >= 0).any() and not matched.all():
             moved = np.where(matched[:, None], centres[assigned] - self.reference, 0.0)
-            again = self._assigned(self._neighbourly(moved, matched), centres)
+            again = self._assigned(self.by_neighbours(moved, matched), centres)
             if np.sum(again >= 0) <= matched.sum():
                 break
             assigned = again
@@ -220,7 +220,7 @@ class Tracker:
         assigned[ours[near]] = theirs[near]
         return assigned
 
-    def _neighbourly(self, moved: Floats, matched: NDArray[np.bool_]) -> Floats:
+    def by_neighbours(self, moved: Floats, matched: NDArray[np.bool_]) -> Floats:
         """Return the displacement of each marker (m, 2) by the median of its matched neighbours."""
         values = np.where(matched[:, None], moved, np.nan)[self._around]
         some = matched[self._around].any(axis=1)

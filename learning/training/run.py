@@ -382,7 +382,6 @@ def batch(
 
 @functools.lru_cache(maxsize=8)
 def _order(seed: int, number: int, count: int) -> NDArray[np.int64]:
-    """Return the order of one pass."""
     order = generator(seed, "order", "", number).permutation(count).astype(np.int64)
     order.setflags(write=False)
     return order

@@ -311,7 +311,6 @@ def _pictures(
     places: Places,
     calibration: IntervalCalibration,
 ) -> Iterator[tuple[str, bytes]]:
-    """Yield captions and pictures of the report."""
     yield (
         "Predicted and expected forces on the indenters that calibrate",
         calibration_picture(calibration),

@@ -308,7 +308,6 @@ def _chosen(
 
 
 def _row_of(source: ArchivedSensor, translated: ArchivedSensor, row: int) -> int:
-    """Return the source row of a translated frame."""
     same = np.ones(len(source), np.bool_)
     for name in ("indenter", "target", "location", "frame"):
         same &= source.table[name] == translated.table[name][row]

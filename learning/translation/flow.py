@@ -1,9 +1,8 @@
 """The classical translator: warps the target's reference mask by the source's marker motion."""
 
-from __future__ import annotations
-
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import torch
@@ -56,9 +55,9 @@ class FlowTranslator:
         """Name in reports."""
         return FLOW
 
-    def between_sensors(self, source: SensorView, target: SensorView) -> FlowTranslator:
+    def between_sensors(self, source: SensorView, target: SensorView) -> Self:
         """Return the translator for two sensors whose pixels differ in size."""
-        return FlowTranslator(source, target, self.smoothing)
+        return replace(self, source=source, target=target)
 
     def translate(
         self,

@@ -1,19 +1,15 @@
 """Open a translator by name or from the folder of a training run."""
 
-from __future__ import annotations
-
 import hashlib
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import torch
 
 from learning.errors import LearningError
 from learning.plugins import load_plugin, plugin_identity, plugin_names
 from learning.training.checkpoint import CONFIG, read_config, read_model_folder
 from learning.translation.translator import FLOW, Translator
-
-if TYPE_CHECKING:
-    import torch
 
 # Modules of our trained translators, by kind; imported on demand, as one needs further libraries.
 TRAINED = {

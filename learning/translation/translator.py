@@ -1,19 +1,14 @@
 """Interface of all translators, and their inputs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, Self, runtime_checkable
+from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
+import torch
 
 from learning.errors import LearningError
+from recorder.archive import ArchivedSensor
 from recorder.markers import HEIGHT, TAXELS, WIDTH, draw_discs, marker_centres, unpack
-
-if TYPE_CHECKING:
-    import torch
-
-    from recorder.archive import ArchivedSensor
 
 # Name of the translator that needs no training and therefore has no folder.
 FLOW = "flow"
@@ -61,7 +56,6 @@ class Translator(Protocol):
     @property
     def name(self) -> str:
         """Name in reports: its kind, and a suffix that identifies it within that kind."""
-        ...
 
     def translate(
         self,
@@ -80,7 +74,6 @@ class Translator(Protocol):
         Raises:
             LearningError: Wrong shapes or types, or a required reference is missing.
         """
-        ...
 
 
 @runtime_checkable
@@ -92,7 +85,6 @@ class PairTranslator(Protocol):
 
     def between_sensors(self, source: SensorView, target: SensorView) -> Translator:
         """Return the translator for this pair."""
-        ...
 
 
 def for_pair(translator: Translator, source: SensorView, target: SensorView) -> Translator:
@@ -110,8 +102,6 @@ def require_masks(
     Raises:
         LearningError: Not bool, or not the shape of a mask.
     """
-    import torch
-
     inputs = {"source": source, "target_reference": target_reference}
     if source_reference is not None:
         inputs["source_reference"] = source_reference

@@ -55,7 +55,6 @@ class LocationPairs:
     """Rows of the target sensor (n,)."""
 
     def __len__(self) -> int:
-        """Return the number of pairs."""
         return len(self.source)
 
 

@@ -67,12 +67,10 @@ class SensorTable(Mapping[str, Array]):
     """Columns of a sensor's table, read on access; those used last are kept in memory."""
 
     def __init__(self, sensor: Path, files: Files) -> None:
-        """Provide the columns of the table in the group of a sensor."""
         self._sensor, self._files = sensor, files
         self._columns: Kept[Array] = Kept()
 
     def __getitem__(self, name: str) -> Array:
-        """Return a column (n, ...)."""
         if name not in COLUMNS:
             table, names = self._sensor / "table", ", ".join(COLUMNS)
             raise KeyError(f"{table}: no column {name!r}; known: {names}")
@@ -83,11 +81,9 @@ class SensorTable(Mapping[str, Array]):
         return values
 
     def __iter__(self) -> Iterator[str]:
-        """Iterate over the names."""
         return iter(COLUMNS)
 
     def __len__(self) -> int:
-        """Return the number of columns."""
         return len(COLUMNS)
 
 
@@ -109,7 +105,6 @@ class ArchivedSensor:
         """Columns (n, ...) by name, read on first access."""
 
     def __len__(self) -> int:
-        """Return the number of frames."""
         return len(self._frames)
 
     @property
@@ -302,17 +297,14 @@ class MarkerArchive(Mapping[str, ArchivedSensor]):
         return None
 
     def __getitem__(self, name: str) -> ArchivedSensor:
-        """Return a sensor."""
         if name not in self._sensors:
             raise KeyError(f"{self.name}: no sensor {name!r}; known: {', '.join(self._sensors)}")
         return self._sensors[name]
 
     def __iter__(self) -> Iterator[str]:
-        """Iterate over the names."""
         return iter(self._sensors)
 
     def __len__(self) -> int:
-        """Return the number of sensors."""
         return len(self._sensors)
 
 
@@ -357,7 +349,6 @@ def describe_archive(path: str | os.PathLike[str]) -> str:
 
 
 def _row(sensor: ArchivedSensor, *, tables: bool) -> dict[str, str]:
-    """Return the summary of a sensor by heading."""
     smallest = (sensor.attrs.get("marker_check") or {}).get("smallest_px", SMALLEST_PX)
     markers = "-"
     if sensor.representation == MASKS:

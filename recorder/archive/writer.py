@@ -53,7 +53,6 @@ class Ledger:
     """Ledger of one sensor."""
 
     def __init__(self, frames: Path) -> None:
-        """Set the path of the ledger in the array of the frames; nothing is read."""
         self.path = frames / LEDGER
 
     def done(self) -> set[int]:
@@ -162,7 +161,6 @@ class SensorWriter:
     """Writer of one sensor of an archive; obtained from `ArchiveWriter.sensors`."""
 
     def __init__(self, archive: ArchiveWriter, name: str, indenters: int) -> None:
-        """Read the plan of the sensor from its metadata."""
         self.path = archive.path / name
         self._archive = archive
         stored = read_sensor(self.path)
@@ -306,11 +304,9 @@ class SensorFrames(Protocol):
     @property
     def plan(self) -> SensorPlan:
         """Plan of its part of the archive."""
-        ...
 
     def read(self, rows: slice) -> Frames:
         """Make the given rows."""
-        ...
 
 
 def fill_archive(

@@ -92,7 +92,6 @@ def _checked(catalogue: Catalogue, rows: list[Row]) -> list[Row]:
 
 
 def _table(rows: list[Row], folder: Path) -> list[str]:
-    """Return the rows as lines of aligned columns, the path last."""
     columns: dict[str, Sequence[object]] = {
         "started (UTC)": [row.started_utc[:16].replace("T", " ") for row in rows],
         "sensor": [row.sensor for row in rows],

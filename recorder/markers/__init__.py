@@ -5,41 +5,29 @@ rows downwards; a sensor's y axis points up, opposite to the rows. A mask is boo
 on a marker.
 """
 
-from recorder.markers.discs import TAXELS, DiscMap, draw_discs, place_discs
-from recorder.markers.displacement import Lattice, moved
-from recorder.markers.marker_check import MarkerCheck, MarkerFlag
-from recorder.markers.masks import (
-    HEIGHT,
-    PACKED,
-    SMALLEST_PX,
-    WIDTH,
-    Blobs,
-    count_markers,
-    find_blobs,
-    marker_centres,
-    pack,
-    smallest_marker,
-    unpack,
-)
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "HEIGHT",
-    "PACKED",
-    "SMALLEST_PX",
-    "TAXELS",
-    "WIDTH",
-    "Blobs",
-    "DiscMap",
-    "Lattice",
-    "MarkerCheck",
-    "MarkerFlag",
-    "count_markers",
-    "draw_discs",
-    "find_blobs",
-    "marker_centres",
-    "moved",
-    "pack",
-    "place_discs",
-    "smallest_marker",
-    "unpack",
-]
+from recorder.on_demand import imports_on_demand
+
+if TYPE_CHECKING:
+    from recorder.markers.discs import TAXELS as TAXELS
+    from recorder.markers.discs import DiscMap as DiscMap
+    from recorder.markers.discs import draw_discs as draw_discs
+    from recorder.markers.discs import place_discs as place_discs
+    from recorder.markers.displacement import Lattice as Lattice
+    from recorder.markers.displacement import moved as moved
+    from recorder.markers.marker_check import MarkerCheck as MarkerCheck
+    from recorder.markers.marker_check import MarkerFlag as MarkerFlag
+    from recorder.markers.masks import HEIGHT as HEIGHT
+    from recorder.markers.masks import PACKED as PACKED
+    from recorder.markers.masks import SMALLEST_PX as SMALLEST_PX
+    from recorder.markers.masks import WIDTH as WIDTH
+    from recorder.markers.masks import Blobs as Blobs
+    from recorder.markers.masks import count_markers as count_markers
+    from recorder.markers.masks import find_blobs as find_blobs
+    from recorder.markers.masks import marker_centres as marker_centres
+    from recorder.markers.masks import pack as pack
+    from recorder.markers.masks import smallest_marker as smallest_marker
+    from recorder.markers.masks import unpack as unpack
+
+__getattr__, __dir__ = imports_on_demand(__name__, __file__)

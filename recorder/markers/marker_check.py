@@ -60,7 +60,6 @@ class MarkerFlag:
     """Difference that the border cannot explain, as text."""
 
     def __str__(self) -> str:
-        """Return the printed line."""
         return f"row {self.row}: {self.found} markers, reference {self.expected}: {self.reason}"
 
 

@@ -78,7 +78,6 @@ class Blobs:
     """True if no pixel is on the border of the image (m,), so that nothing is cut off."""
 
     def __len__(self) -> int:
-        """Return the number of patches."""
         return len(self.frame)
 
     def only(self, chosen: NDArray[np.bool_] | slice) -> Blobs:

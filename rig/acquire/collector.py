@@ -47,8 +47,10 @@ from rig.bench.guards import (
     left_out_text,
     statement,
 )
+from rig.bench.indenter import find_indenter
 from rig.core.clock import ClockAnchor, SystemClock
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop
+from rig.core.geometry import transform
 from rig.core.guard import IMPOSSIBLE
 from rig.core.load import Load, busy, explained
 from rig.core.names import operator_name
@@ -373,7 +375,7 @@ class Collector:
             "mock_sources": request.mock_sources or {},
             "sensor": bench.sensor,
             "indenter": bench.indenter,
-            "indenter_description": bench.indenter_attrs(),
+            "indenter_description": find_indenter(bench.indenter).attrs(),
             "operator": begun["operator"],
             "plan": plan_to_json(request.plan),
             "targets_wanted": request.total,
@@ -504,12 +506,11 @@ def _or_null(values: np.ndarray) -> list[float | None]:
 def target_table(plan: Plan, total: int, bench: Bench) -> dict[str, np.ndarray]:
     """Return a session's `targets`: point, depth [m], direction, planned place in the base [m]."""
     targets = [target for target in plan.targets() if target.index < total]
-    planned = bench.in_base(np.array([target.sheared for target in targets]))
     return {
         "point": np.array([target.point for target in targets], dtype=np.int16),
         "depth": np.array([target.depth for target in targets]),
         "direction": np.array([target.direction for target in targets], dtype=np.int16),
-        "planned": np.asarray(planned),
+        "planned": transform(bench.contact_frame, [target.sheared for target in targets]),
     }
 
 

@@ -4,8 +4,6 @@ Each part gives one finding: it is well, there is a note, or there is a fault wi
 are opened by the processes that would record them, so a fault here is one of a collection.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os

@@ -4,8 +4,6 @@ All return findings of the doctor's kind: well, a note, or a fault with its cure
 in this process, and nothing here moves the arm.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import socket

@@ -37,7 +37,7 @@ from rig.core.config import READER as PLAIN_READER
 from rig.core.config import from_si, read_yaml
 from rig.core.driver import Driver
 from rig.core.errors import ConfigError
-from rig.core.geometry import Array, compose, invert, matrix_from_vector, transform
+from rig.core.geometry import Array, compose, invert, matrix_from_vector
 from rig.core.names import plain_name, unknown_name
 from rig.core.packaged import BENCHES
 from rig.core.samples import latest_dtype
@@ -405,10 +405,6 @@ class Bench:
         x, y, z = compose(invert(self.contact_frame), pose)[:3].tolist()
         return (x, y, z)
 
-    def in_base(self, places: ArrayLike) -> Array:
-        """Return places (..., 3) of the contact frame in the base frame [m]."""
-        return transform(self.contact_frame, places)
-
     @property
     def dome_radius(self) -> float | None:
         """Radius of the sensor's spherical top [m], as its plan states it; None: flat."""
@@ -474,10 +470,6 @@ class Bench:
         ratings = [(*limits.force_rating, *limits.torque_rating), (*[sensor] * 3, *[math.inf] * 3)]
         ratings += [gauge.config.rated for gauge in self.gauges if gauge.config.rated]
         return tuple(map(min, zip(*ratings, strict=True)))
-
-    def indenter_attrs(self) -> dict[str, Any]:
-        """Return the description of the indenter on the arm for the session's metadata."""
-        return find_indenter(self.indenter).attrs()
 
     @property
     def gauges(self) -> tuple[BenchStream, ...]:

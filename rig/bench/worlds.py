@@ -3,8 +3,6 @@
 `Sources` are recordings that its emulators play in place of the World.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal

@@ -164,8 +164,6 @@ def _check(options: argparse.Namespace) -> None:
 
 
 class _Source(NamedTuple):
-    """A sensor to watch."""
-
     sensor: str
     kind: str
     name: Path
@@ -180,7 +178,6 @@ class _Source(NamedTuple):
 
 
 def _source(options: argparse.Namespace) -> _Source:
-    """Return the chosen sensor."""
     from rig.monitor import watched
 
     session = options.session

@@ -126,7 +126,6 @@ class ReceivingDriver:
         self._begin(0.0)
 
     def _begin(self, timeout: float) -> None:
-        """Begin with an empty inbox."""
         self._inbox = Inbox(self._clock, self._capacity)
         self._deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         self._waits = self._corrupt_in_a_row = 0

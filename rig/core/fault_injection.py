@@ -42,8 +42,6 @@ FAULTS = tuple(_VALUES)
 
 @dataclass(slots=True)
 class _Active:
-    """An active fault."""
-
     until_ns: int | None
     values: dict[str, float]
     seen: int = 0

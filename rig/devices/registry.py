@@ -193,7 +193,6 @@ def _entry_points() -> dict[str, EntryPoint]:
 
 @functools.cache
 def _loaded(kind: str) -> Device:
-    """Return the device of an entry point."""
     point = _entry_points()[kind]
     try:
         loaded = point.load()

@@ -6,8 +6,6 @@ Every emulator is a separate process that speaks its device's protocol on a loop
 rig gets only those addresses: it runs the same drivers as in the lab.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import os

@@ -10,8 +10,6 @@ listens. It serves until SIGTERM or SIGINT, or with --until-stdin-closes until i
 then prints the number of ticks missed.
 """
 
-from __future__ import annotations
-
 import argparse
 import logging
 import os

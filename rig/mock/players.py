@@ -1,7 +1,5 @@
 """Emulators of one replayed run: one process per stream."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -132,7 +132,6 @@ def _way(bench: Bench) -> Iterator[tuple[Point, float]]:
 
 
 def _at_rate(file: BenchFile, rate_hz: float | None) -> BenchFile:
-    """Return the file with the sensor's rate replaced."""
     if rate_hz is None:
         return file
     content = file.content

@@ -4,8 +4,6 @@ A session is named by its path in the catalogue, so no path sent by a client rea
 small columns of `frames` are read whole; images are read one by one.
 """
 
-from __future__ import annotations
-
 import functools
 import io
 import json

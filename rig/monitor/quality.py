@@ -336,8 +336,6 @@ class _Gauge:
 
 
 class _TaxelDrift:
-    """Drift of an array of taxels."""
-
     def __init__(self, bench: Bench, row: BenchStream, streams: Path) -> None:
         self._name = row.name
         self._rows = _Growing(streams / row.name)

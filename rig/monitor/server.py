@@ -210,7 +210,6 @@ class PageServer:
             self._reader.shutdown(cancel_futures=True)
 
     def _receive(self, pipe: Connection, view: LiveView) -> None:
-        """Hand what the command has sent to the view."""
         try:
             while pipe.poll():
                 view.receive(pipe.recv())

@@ -111,7 +111,6 @@ def _simulated(scene: Scene, options: argparse.Namespace) -> Result:
 
 
 def _picture_path(options: argparse.Namespace) -> Path | None:
-    """Return the path of the picture, or None if no picture is requested."""
     path: Path | None = options.out
     if path is None:
         shape, _ = split_shape(options.shape)

@@ -3,14 +3,14 @@
 import functools
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.archive import ArchiveWriter
+from recorder.archive import ArchiveWriter, Frames
 from recorder.markers import PACKED, Lattice, pack
 from recorder.processes import Workers, results
 from recorder.progress import part_of, span_of
@@ -91,16 +91,6 @@ def creep(sensor: SimulatedSensor, seed: int, indenters: int) -> Array:
 
 # Pixels at which displacement is stored.
 LATTICE = Lattice()
-
-
-@dataclass(frozen=True, slots=True)
-class Rows:
-    """Rows of one sensor within one unit of files."""
-
-    packed: Packed
-    table: Mapping[str, Any]
-    source: Sequence[str]
-    displacement: NDArray[np.float16] | None
 
 
 # Part of a unit's progress that is solving; the rest is drawing and writing images.
@@ -198,7 +188,7 @@ def _rows(
     recording: PressRecording,
     state: tuple[SurfaceField, Array] | None,
     how: Mapping[str, Any],
-) -> Rows:
+) -> Frames:
     """Return the rows of one recording; `packed` holds all patterns (P, F, 38400)."""
     reader = sensor_reader(sensor, plan.seed, device, len(indenter_names(plan)))
     count, frames = len(recording), list(recording.frames)
@@ -230,4 +220,4 @@ def _rows(
     }
     line = {"sensor": sensor.name, "indenter": press.indenter, "target": recording.target}
     text = json.dumps({**line, **how}, ensure_ascii=False)
-    return Rows(packed, table, [text] * count, fields)
+    return Frames(packed, table, [text] * count, fields)

@@ -43,7 +43,6 @@ class PressRecording:
     """Location of each frame, or -1."""
 
     def __len__(self) -> int:
-        """Return the number of rows."""
         return len(self.frames)
 
 

@@ -415,7 +415,6 @@ class SolverState:
         return self._masks[key]
 
     def _put(self, array, values) -> None:
-        """Write values into an array of the device."""
         array.assign(np.ascontiguousarray(values, dtype=numpy_of(self._real)))
 
     def _array(self, values, dtype):

@@ -1,7 +1,5 @@
 """Solver of the `fem` tier: meshes, their solutions, and finer ones where those are too coarse."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace

@@ -197,7 +197,6 @@ def read_triangles(data: bytes, name: str, unit: Unit, up: Up, axis: Axis) -> Tr
 
 
 def _read(data: bytes, name: str) -> Trimesh:
-    """Return the file's unprocessed triangles."""
     import trimesh
 
     if reader := READERS.get(Path(name).suffix):

@@ -52,7 +52,6 @@ class Pattern:
                 check_range("pattern", f"places[{index}]", value, -1.0, 1.0, unit="m")
 
     def __len__(self) -> int:
-        """Return the number of markers."""
         return len(self.places)
 
     @property

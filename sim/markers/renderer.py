@@ -39,7 +39,6 @@ class View:
         self._material, self._body = material, body
 
     def __len__(self) -> int:
-        """Return the number of frames."""
         return self._material.shape[0]
 
     def material(self) -> NDArray[np.float32]:
@@ -151,7 +150,6 @@ class Renderer:
         return self.body.size_x, self.body.size_y
 
     def _checked(self, x: Array, y: Array, surface: Surface) -> wp.array:
-        """Check a displacement and copy it to the device."""
         if surface.ndim != 4 or surface.shape[1:] != (len(x), len(y), 3) or not len(surface):
             allowed = f"(frames, {len(x)}, {len(y)}, 3)"
             raise SceneError(f"surface: shape {surface.shape}; allowed: {allowed}")

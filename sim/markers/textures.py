@@ -48,7 +48,6 @@ class Textures:
         """Distance between neighbours [m]."""
 
     def __len__(self) -> int:
-        """Return the number of patterns."""
         return len(self.values)
 
 

@@ -512,7 +512,6 @@ class ParticleState:
         self.move_particles()
 
     def _fill_environments(self, scenes, numerics) -> None:
-        """Set the parameters of each environment: material and contact."""
         real, units, batch = self.real, self.units, self.batch
         stress = np.array([unit.stress for unit in units])
         batch.shear = self.array([one.body.shear_modulus for one in scenes] / stress, real)

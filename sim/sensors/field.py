@@ -65,7 +65,6 @@ class SurfaceField:
         return cls(x, y, np.zeros((1, 4, 4, 3), np.float32))
 
     def __len__(self) -> int:
-        """Return the number of frames."""
         return len(self.displacement)
 
     def at(self, places: Array) -> Array:

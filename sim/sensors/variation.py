@@ -153,7 +153,6 @@ class SegmentationErrors:
         return np.asarray(self._bank[row, column])
 
     def _without_missed(self, mask: Masks, random: np.random.Generator) -> Masks:
-        """Return the mask without the missed markers."""
         chosen = self._segmentation
         rim = round(chosen.rim_px)
         dim = chosen.rim_missing > 0 and rim > 0

@@ -1,6 +1,7 @@
 """Write docs/reference from the table of commands and the packages' docstrings: `make reference`.
 
-Packages are parsed, not imported: public names are those in the `__all__` of a package.
+Packages are parsed, not imported: public names are those in the `__all__` of a package, or those
+that it imports on demand (`recorder.on_demand`).
 """
 
 import ast
@@ -90,12 +91,15 @@ def names_page() -> str:
 
 
 def _exported(path: Path) -> list[str]:
-    for node in ast.parse(path.read_text()).body:
+    text = path.read_text()
+    for node in ast.parse(text).body:
         if isinstance(node, ast.Assign) and any(
             isinstance(target, ast.Name) and target.id == "__all__" for target in node.targets
         ):
             return sorted(ast.literal_eval(node.value), key=str.lower)
-    return []
+    imported = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ImportFrom)]
+    again = {alias.name for node in imported for alias in node.names if alias.asname == alias.name}
+    return sorted(sorted(again), key=str.lower)
 
 
 def _told(path: Path, name: str) -> str:

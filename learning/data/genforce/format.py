@@ -45,7 +45,6 @@ class GenForcePress:
     """Row of the reference of its frames."""
 
     def __len__(self) -> int:
-        """Return the number of frames."""
         return len(self.files)
 
 

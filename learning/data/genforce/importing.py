@@ -145,8 +145,6 @@ class PublishedSensor:
 
 @dataclass(frozen=True, slots=True)
 class _Folder:
-    """A published folder that is imported."""
-
     root: Path
     """Provenance gives files relative to it."""
     indenters: tuple[str, ...]
@@ -273,7 +271,6 @@ def import_folder(
 
 
 def _indenters(layout: str, root: Path) -> set[str]:
-    """Return the names of the indenters in a folder of a layout."""
     if layout == "raw":
         return {_indenter(run) for sensor in _raw_folders(root) for run in _runs(sensor)}
     sensors = _folders(_images(root)) if layout == "training" else [root]
@@ -301,7 +298,6 @@ def _targets(folders: Iterable[Path]) -> int:
 
 
 def _frame_files(folder: Path) -> tuple[Path, ...]:
-    """Return the files of the frames in a folder, in order."""
     files = [path for path in folder.iterdir() if path.suffix in SUFFIXES]
     files = sorted(path for path in files if path.stem.isdecimal())
     if not files:

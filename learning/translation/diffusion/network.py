@@ -8,15 +8,13 @@ The frozen weights are the published ones; `state_dict` returns only the others.
 weights, all but the reference encoder's are trained, and `state_dict` returns all.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import torch
 from torch import nn
@@ -265,9 +263,9 @@ class LatentPosterior:
         """Return the latent for standard normal noise; the mean if there is none."""
         return self.mean if noise is None else self.mean + self.deviation * noise
 
-    def rows(self, index: torch.Tensor) -> LatentPosterior:
+    def rows(self, index: torch.Tensor) -> Self:
         """Return the posterior of some of the images."""
-        return LatentPosterior(self.mean[index], self.deviation[index])
+        return replace(self, mean=self.mean[index], deviation=self.deviation[index])
 
 
 class ReferenceEncoder(nn.Module):
@@ -280,7 +278,7 @@ class ReferenceEncoder(nn.Module):
         self.quant_conv = copy.deepcopy(vae.quant_conv)
         self.requires_grad_(False).eval()
 
-    def train(self, mode: bool = True) -> ReferenceEncoder:
+    def train(self, mode: bool = True) -> Self:
         """Stay in evaluation mode, as it is frozen."""
         return super().train(False)
 

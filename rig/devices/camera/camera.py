@@ -6,8 +6,6 @@ of a network camera a frame that never arrives cannot be seen. A camera queues s
 a late reader; the reader thread takes each on arrival.
 """
 
-from __future__ import annotations
-
 import socket
 from collections.abc import Callable
 from typing import Any
@@ -114,7 +112,6 @@ class V4l2Driver(CameraDriver):
         self._stamps: dict[str, str] = {}
 
     def _connect(self, timeout: float) -> None:
-        """Open the camera, apply its settings, and check the first frame."""
         self._sequence = None
         address = self._where
         try:
@@ -268,7 +265,6 @@ class MjpegDriver(CameraDriver):
         self._newest: bytes | None = None
 
     def _connect(self, timeout: float) -> None:
-        """Open the stream and check the first frame."""
         self._newest = None
         self._probe(timeout)
         try:

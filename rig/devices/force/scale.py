@@ -86,7 +86,6 @@ class ScaleDriver(ReceivingDriver):
         return self.rejected["corrupt"] + self._inbox.overflowed
 
     def _connect(self, timeout: float) -> None:
-        """Open the port and wait for the first reading."""
         config = self._config
         self._buffer, self._unit, self._sequence = b"", "", -1
         self._recent.clear()

@@ -73,7 +73,6 @@ class ScaleEmulator(PtyEmulator):
                     self._send(content)
 
     def _requested_count(self) -> int:
-        """Return the number of readings that were requested."""
         if not select.select([self._fd], [], [], 0.0)[0]:
             return 0
         typed = os.read(self._fd, 256)

@@ -49,7 +49,6 @@ class XelaDriver(ReceivingDriver):
         self._newest: Scan | None = None
 
     def _connect(self, timeout: float) -> None:
-        """Connect and wait for the first scan of the sensor."""
         self._first = self._newest = self._sequence = None
         self._late_in_a_row = self._restarted_by = 0
         try:

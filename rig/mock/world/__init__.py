@@ -1,7 +1,5 @@
 """World of the mock bench: turns the arm's motion into states that the emulators measure."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path

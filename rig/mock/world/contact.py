@@ -1,7 +1,5 @@
 """Frame of the contact, and the base of every World."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import numpy as np

@@ -6,8 +6,6 @@ Contact depends on its history, so exactly one process steps the World, in the o
 cycles; the sensors' emulators only serve the published states.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Effects that labs see and a clean mock does not: one small piece for each setting of `Lab`."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

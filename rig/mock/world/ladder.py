@@ -1,7 +1,5 @@
 """LadderWorld: the paper's experiment by superposed presses, light enough for every cycle."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pictures of the mock camera: a lit gel, noise, and filled marker outlines."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

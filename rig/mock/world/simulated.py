@@ -5,8 +5,6 @@ as it can and publishes the solutions. The World extrapolates the last solution 
 to each of the arm's cycles.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
