@@ -23,8 +23,8 @@ POSE_LATEST = np.dtype(
 
 # State of the sensor's signal on a bench without a force gauge. Arrival [ns] of the newest sample,
 # of the newest that differed from its predecessor, and of the newest that differed by more than
-# noise from the one that last did so; change since the last zero in standard deviations of its noise,
-# largest motion of a marker [px] or deviation of a taxel [counts].
+# noise from the one that last did so; change since the last zero in standard deviations of its
+# noise, largest motion of a marker [px] or deviation of a taxel [counts].
 SIGNAL_LATEST = np.dtype(
     [
         ("t_ns", "<i8"),
