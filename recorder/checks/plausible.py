@@ -71,9 +71,11 @@ SEVERAL, RISES = 5, 0.4
 # the largest angle between the two [deg], as rig has the gauge's axes along those of the contact.
 FOLLOWS, SPREAD, ASTRAY = 0.5, 0.15, 25.0
 # Step of a force from one sample to the next [N], over that of a press, over the noise, and over
-# the steps before and after it. Equal samples of a gauge, [s] and over the runs of equal ones, of
-# which one in a thousand is longer.
-STEP, STEP_OF_PEAK, STEPPED, HELD, HELD_USUAL = 0.7, 0.1, 3.0, 0.2, 5.0
+# the steps before and after it; and the least rate at which no press is that fast [Hz].
+STEP, STEP_OF_PEAK, STEPPED, STEP_RATE = 0.7, 0.1, 3.0, 200.0
+# Equal samples of a gauge, [s] and over the runs of equal ones, of which one in a thousand is
+# longer.
+HELD, HELD_USUAL = 0.2, 5.0
 # Force from which torques are compared with its lever [N]; error of torque that is none over its
 # size; error that the contact's own place may add [m]; longest lever [m].
 LOADED, TWIST, PLACE, LEVER = 1.0, 0.3, 4e-3, 0.6
@@ -286,7 +288,7 @@ def force_over_depth(presses: Presses) -> Iterator[Testimony]:
 
 def steps(presses: Presses) -> Iterator[Testimony]:
     """Forces that are other ones from one sample to the next, and stay so."""
-    if presses.force is None or not presses.forces:
+    if presses.force is None or not presses.forces or presses.force.rate_hz < STEP_RATE:
         return
     axes, worst = presses.forces, (0.0, 0, 0)
     limit = max(STEP, STEP_OF_PEAK * _peak(presses)) + NOISE * presses.sigma[axes]

@@ -24,8 +24,8 @@ Level = Callable[[int, int], Floats]
 # Delays that are tried [s]; time around a phase that is looked at [s]; most samples of a phase, and
 # fewest; and how much of a signal the depth must explain.
 DELAYS, AROUND, MOST, FEWEST, EXPLAINED = np.arange(-0.4, 0.401, 0.01), 0.1, 60, 6, 0.98
-# Standard deviations of the stated times that a delay may have, besides one frame, and the longest
-# frame [s]; and scatters of the delays of a session that a single press may have as well.
+# Standard deviations of a measured latency that a delay may have, besides one frame, and the least
+# of that [s]; and scatters of the delays of a session that a single press may have as well.
 SIGMAS, FRAME, SCATTERS = 3.0, 1 / 30, 4.0
 
 
@@ -50,7 +50,9 @@ def timing(presses: Presses, stream: Stream, level: Level) -> Iterator[Testimony
             found.append(target)
     if len(delays) < 2:
         return
-    limit = SIGMAS * latency_sigma(stream)[0] + max(1 / stream.rate_hz, FRAME)
+    sigma, longest = latency_sigma(stream)
+    limit = (SIGMAS * sigma if longest is None else longest) + max(1 / stream.rate_hz, FRAME)
+    delays = [delay - 0.5 * (longest or 0.0) for delay in delays]
     if stream.traits.kind == "camera":  # an image shows the middle of its exposure
         exposure = stream.attrs.get("exposure")
         exposure = max(1 / stream.rate_hz, EXPOSURE) if exposure is None else float(exposure)
