@@ -30,7 +30,7 @@ TURNED = 0.15
 ODD, NOISY = 3.0, 8.0
 # Change from one picture to the next over those before and after it, and over the noise; how much
 # more while the force changes; and rate of a camera that sees a fast press between two [Hz].
-JUMP, JUMP_NOISY, MORE, SLOW = 5.2, 8.0, 4.0, 20.0
+JUMP, JUMP_NOISY, MORE, SLOW = 7.0, 11.0, 4.0, 20.0
 # Delay of the pictures behind the force [s], how much better both agree with it (correlation), how
 # well at least, and longest delay that is looked for [s].
 DELAY, BETTER, AGREE, LONGEST = 0.35, 0.02, 0.5, 1.0

@@ -66,13 +66,13 @@ UNITS = {
 }
 # Least number of presses whose force is compared with the depth, and how well it must rise with it
 # (correlation).
-SEVERAL, RISES = 5, 0.4
+SEVERAL, RISES = 5, 0.25
 # How well side forces must follow the shear, rotated (1: exactly); directions that are needed; and
 # the largest angle between the two [deg], as rig has the gauge's axes along those of the contact.
 FOLLOWS, SPREAD, ASTRAY = 0.5, 0.15, 25.0
 # Step of a force from one sample to the next [N], over that of a press, over the noise, and over
 # the steps before and after it; and the least rate at which no press is that fast [Hz].
-STEP, STEP_OF_PEAK, STEPPED, STEP_RATE = 0.7, 0.1, 3.0, 200.0
+STEP, STEP_OF_PEAK, STEPPED, STEP_RATE = 0.85, 0.1, 3.0, 200.0
 # Equal samples of a gauge, [s] and over the runs of equal ones, of which one in a thousand is
 # longer.
 HELD, HELD_USUAL = 0.2, 5.0
@@ -416,7 +416,7 @@ REACH, TURN, JUMP, JUMPY, MOVING = 4.0, 7.0, 0.25e-3, 3.0, 1e-3
 # Distance of the reached place from the planned one [m], and over the way to it.
 AWAY, AWAY_OF_WAY = 0.3e-3, 0.05
 # Time at the end of a phase over which its place is the median, as reported positions jitter [s].
-ENDING = 0.01
+ENDING = 0.03
 # Way that a phase plans at least, and the part of it that a frozen pose does not go [m].
 WAY, STANDS = 0.2e-3, 0.2
 

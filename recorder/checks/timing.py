@@ -24,9 +24,9 @@ Level = Callable[[int, int], Floats]
 # Delays that are tried [s]; time around a phase that is looked at [s]; most samples of a phase, and
 # fewest; and how much of a signal the depth must explain.
 DELAYS, AROUND, MOST, FEWEST, EXPLAINED = np.arange(-0.4, 0.401, 0.01), 0.1, 60, 6, 0.98
-# Standard deviations of a measured latency that a delay may have, besides one frame, and the least
-# of that [s]; and scatters of the delays of a session that a single press may have as well.
-SIGMAS, FRAME, SCATTERS = 3.0, 1 / 30, 4.0
+# Standard deviations of the latency that a delay may have, besides one frame, and the least of that
+# [s]; and that of a single press, over this, and over the scatter of the session's.
+SIGMAS, FRAME, SINGLE, SCATTERS = 3.0, 1 / 30, 2.0, 4.0
 
 
 def timing(presses: Presses, stream: Stream, level: Level) -> Iterator[Testimony]:
@@ -51,7 +51,7 @@ def timing(presses: Presses, stream: Stream, level: Level) -> Iterator[Testimony
     if len(delays) < 2:
         return
     sigma, longest = latency_sigma(stream)
-    limit = (SIGMAS * sigma if longest is None else longest) + max(1 / stream.rate_hz, FRAME)
+    limit = SIGMAS * sigma + max(1 / stream.rate_hz, FRAME)
     delays = [delay - 0.5 * (longest or 0.0) for delay in delays]
     if stream.traits.kind == "camera":  # an image shows the middle of its exposure
         exposure = stream.attrs.get("exposure")
@@ -59,7 +59,7 @@ def timing(presses: Presses, stream: Stream, level: Level) -> Iterator[Testimony
         delays = [delay - 0.5 * exposure for delay in delays]
     usual = float(np.median(delays))
     apart = np.abs(np.array(delays) - usual)
-    single = apart / (limit + SCATTERS * 1.48 * float(np.median(apart)))
+    single = apart / (SINGLE * limit + SCATTERS * 1.48 * float(np.median(apart)))
     doubt = [abs(usual) / limit, *(single if len(delays) >= 5 else [])]
 
     def text(worst: int) -> str:
