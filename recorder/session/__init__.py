@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from recorder.session.columns import Stream as Stream
     from recorder.session.frames import axes_of as axes_of
     from recorder.session.frames import in_frame as in_frame
+    from recorder.session.frames import resting as resting
     from recorder.session.frames import surface_heights as surface_heights
     from recorder.session.loss import loss_lines as loss_lines
     from recorder.session.press_curve import press_curves as press_curves
