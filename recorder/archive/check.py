@@ -25,8 +25,6 @@ from recorder.markers import MarkerCheck, MarkerFlag, unpack
 from recorder.store.files import Files
 from recorder.store.reader import ColumnReader
 
-# Marker-count check of a sensor: frames that lost or gained markers, with the reason.
-
 _ROWS = 256  # frames in memory at once
 
 

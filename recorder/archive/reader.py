@@ -328,9 +328,6 @@ def archive_fingerprint(archive: MarkerArchive) -> str:
     return digest.hexdigest()
 
 
-# Text summary of an archive.
-
-
 def describe_archive(path: str | os.PathLike[str]) -> str:
     """Return a summary of an archive, with one line per sensor."""
     archive = MarkerArchive(path)

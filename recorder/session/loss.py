@@ -438,9 +438,6 @@ def _lift(late: Floats, due: Callable[[int, int], Floats], first: int, stop: int
     return float(np.quantile(np.abs(np.diff(least)), 0.75)) if len(least) > 1 else 0.0
 
 
-# Losses of recorded streams.
-
-
 def is_regular(stream: Columns) -> bool:
     """Return False for events, which come at no rate: their last sample holds for any time."""
     return stream.traits.defaults.max_age != math.inf
@@ -478,8 +475,6 @@ def is_compressed(attrs: Mapping[str, Any]) -> bool:
     """
     return bool(attrs.get("replay_of", {}).get("speed", 1.0) != 1.0)
 
-
-# Account of the samples that a session has of a stream, and of those that it lost.
 
 _SHOWN = 5  # targets named in a line
 

@@ -512,9 +512,6 @@ def open_tail(stream: os.PathLike[str]) -> ImageTail:
     return ImageTail(layout)
 
 
-# Columns of a table.
-
-
 class Table(Mapping[str, Array]):
     """Columns of a group, read on access; those used last are kept in memory."""
 

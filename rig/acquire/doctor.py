@@ -114,9 +114,6 @@ def _explained(finding: Finding, load: Load, *, mock: bool) -> Finding:
     return replace(finding, text=text, cures=cures)
 
 
-# The plan
-
-
 def plan(bench: Bench, sessions: Path) -> Finding:
     """Draw the bench's plan in a folder, and examine it against the bench's limits."""
     walked = bench.dry_run(bench.trajectory)
@@ -139,9 +136,6 @@ def plan(bench: Bench, sessions: Path) -> Finding:
         cure = "another indenter, a plan less deep, or a gauge and sensor of a higher rating"
         return Finding("plan", state, f"{text}; {left_out_text(bench, out)}", (cure,))
     return Finding("plan", "well", text)
-
-
-# The computer
 
 
 def disk(sessions: Path, clock: Clock) -> Finding:
@@ -204,9 +198,6 @@ def time_of_day() -> Finding:
     if now < _SET:
         return Finding("clock", "FAULT", now, ("timedatectl set-ntp true, or set it by hand",))
     return Finding("clock", "well", now)
-
-
-# Devices
 
 
 def _arm(bench: Bench, clock: Clock) -> Finding:
