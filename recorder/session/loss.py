@@ -181,7 +181,9 @@ def lateness(
     for part in parts:
         late[part] = (t_ns[part] - zero) * _NS
     period = _period(late, partial(numbers, losses=losses), rate_hz)
-    clock = device_t if device_t is not None and _finite(device_t) else None
+    clock = device_t
+    if clock is not None and not all(np.isfinite(clock[part]).all() for part in parts):
+        clock = None
 
     def due(first: int, stop: int) -> Floats:
         if clock is not None:
@@ -195,10 +197,6 @@ def lateness(
         steps += (part.start + 1 + np.flatnonzero(np.diff(moments) <= 0)).tolist()
     wander = [_lift(late, due, *ends) for ends in pairwise([0, *steps, len(late)])]
     return late, max(wander)
-
-
-def _finite(values: Floats | Rows) -> bool:
-    return all(np.isfinite(values[part]).all() for part in blocks(len(values)))
 
 
 def other_rate(
