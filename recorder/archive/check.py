@@ -69,7 +69,6 @@ def _of_reference(sensor: ArchivedSensor, number: int, check: MarkerCheck) -> It
 
 
 def _field(sensor: ArchivedSensor, batch: NDArray[np.int64], frame: int) -> NDArray[np.float16]:
-    """Return the displacement of one frame of a batch of rows."""
     return sensor.displacement([int(batch[frame])]).squeeze(axis=0)
 
 

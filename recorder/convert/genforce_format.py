@@ -109,7 +109,6 @@ def _complete(session: Session, streams: Iterable[str]) -> NDArray[np.bool_]:
 
 
 def _write_rows(session: Session, name: str, folder: Path, rows: Array) -> None:
-    """Write some rows of one stream into its folder."""
     stream, values = session.streams[name], session.frames[session.columns[name]][rows]
     kind = stream.traits.kind
     if kind == "force":

@@ -175,7 +175,6 @@ def _shrunk(image: Any) -> NDArray[np.uint8]:
 
 
 def _sensor_track(take: Take) -> RecordedTrack | None:
-    """Return the first camera, else the first taxels."""
     return take.first("video") or take.first("taxels")
 
 
@@ -507,7 +506,6 @@ def _targets(drafts: Sequence[Draft], answers: Answers) -> dict[str, Any]:
 
 
 def _specs(drafts: Sequence[Draft]) -> list[StreamSpec]:
-    """Return the streams of a session."""
     first = [_spec(track) for track in drafts[0].take.tracks]
     lags = [draft.lag for draft in drafts if draft.lag is not None]
     if len(lags) == len(drafts):

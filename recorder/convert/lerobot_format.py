@@ -80,7 +80,6 @@ def statistics_of(values: Array, count: int | None = None) -> Statistics:
 
 
 def _image_statistics(encoded: Sequence[bytes]) -> Statistics:
-    """Return the statistics of sampled pixels of some encoded images."""
     chosen = np.unique(np.linspace(0, len(encoded) - 1, _SAMPLED).astype(int))
     pixels = []
     for index in chosen:
@@ -201,7 +200,6 @@ def features_of(session: Session) -> dict[str, Feature]:
 
 
 def _feature(stream: Stream) -> Feature:
-    """Return the feature of a stream's values."""
     value = stream.value_column
     if value is None:
         raise SessionError(f"{stream.name}: has no column value")
@@ -343,7 +341,6 @@ class _Dataset:
         _write_json(self.path / "meta" / "info.json", info)
 
     def _documents(self, stats: dict[str, Statistics]) -> dict[str, dict[str, list[Any]]]:
-        """Return the statistics of features as they are stored."""
         return {
             name: document_of(part, of_images=self.features[name].dtype == "image")
             for name, part in stats.items()

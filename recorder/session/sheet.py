@@ -146,7 +146,6 @@ def _disc(x: float, y: float, radius: float) -> tuple[float, float, float, float
 
 
 def _side_by_side(pictures: list[Image.Image]) -> Image.Image:
-    """Return pictures of equal size in one thumbnail."""
     thumb = Image.new("RGB", _THUMB, (30, 34, 42))
     for index, picture in enumerate(pictures):
         thumb.paste(picture, (index * picture.width, 0))

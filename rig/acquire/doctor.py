@@ -201,7 +201,6 @@ def time_of_day() -> Finding:
 
 
 def _arm(bench: Bench, clock: Clock) -> Finding:
-    """Return the finding of the arm: its software, mode, safety status and speed slider."""
     host, timeout = bench.arm.host, bench.preflight.timeout
     link = RtdeLink(host, 10.0, clock)
     try:
@@ -363,7 +362,6 @@ def _at(config: Any) -> str:
 
 
 def _model_and_firmware(description: dict[str, Any]) -> str:
-    """Return model and firmware, if the device tells them."""
     parts = (
         str(description[key]) for key in ("model", "firmware", "version") if key in description
     )
