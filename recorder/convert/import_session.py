@@ -32,6 +32,7 @@ from recorder.convert.import_tracks import (
     As,
     Film,
     MissingAnswer,
+    Numbers,
     RecordedTrack,
     Take,
     Times,
@@ -148,9 +149,9 @@ def _draft(take: Take, answers: Answers) -> Draft:
         no_contact, presses, trace = _stills(film, sensed, answers)
     else:
         no_contact, presses, trace = _contacts(take, sensed, answers, end_ns)
-    forces = take.first("force")
-    if forces is not None and presses:
-        _require_sign(forces, no_contact, presses)
+    forces, track = take.numbers("force"), take.first("force")
+    if forces is not None and track is not None and presses:
+        _require_sign(track.source, forces, no_contact, presses)
     if presses:
         begin, end_s = NS * no_contact[0], NS * no_contact[1]
         zero = "" if forces is None else f" ({_zero(forces, no_contact)})"
@@ -259,13 +260,10 @@ def _moved(take: Take, streams: Sequence[str], move: Callable[[Times], Times]) -
     return replace(take, tracks=tuple(tracks))
 
 
-def _zero(track: RecordedTrack, no_contact: Span) -> str:
+def _zero(forces: Numbers, no_contact: Span) -> str:
     """Return the forces that are taken for none, such as `Fz 0.31 N is zero`."""
-    content = track.content
-    if isinstance(content, Film):
-        return ""
-    rest = content.value[_inside(content.t_ns, no_contact), :3].mean(axis=0)
-    axes = [axis for axis in AXES[:3] if axis in content.attrs["axes_measured"]]
+    rest = forces.value[_inside(forces.t_ns, no_contact), :3].mean(axis=0)
+    axes = [axis for axis in AXES[:3] if axis in forces.attrs["axes_measured"]]
     return ", ".join(f"{axis} {rest[AXES.index(axis)]:.3g} N" for axis in axes) + " is zero"
 
 
@@ -350,12 +348,11 @@ def _span(option: str, text: str) -> Span:
     return span
 
 
-def _require_sign(track: RecordedTrack, no_contact: Span, presses: Sequence[Press]) -> None:
+def _require_sign(source: str, forces: Numbers, no_contact: Span, presses: Sequence[Press]) -> None:
     """Reject three-axis forces whose Fz rises under contact: a session has negative Fz there."""
-    content = track.content
-    if isinstance(content, Film) or "Fz" not in content.attrs["axes_measured"]:
+    if "Fz" not in forces.attrs["axes_measured"]:
         return
-    t_ns, force = content.t_ns, content.value[:, 2]
+    t_ns, force = forces.t_ns, forces.value[:, 2]
     rest = force[_inside(t_ns, no_contact)]
     spans = [_inside(t_ns, (press.start_ns, press.end_ns)) for press in presses]
     touched = force[np.concatenate(spans)]
@@ -364,7 +361,7 @@ def _require_sign(track: RecordedTrack, no_contact: Span, presses: Sequence[Pres
     change = touched - rest.mean()
     if float(change.max()) > 2 * -float(change.min()) and float(change.max()) > 4 * rest.std():
         raise SessionError(
-            f"{track.source}: Fz rises to {touched.max():+.3g} N under contact; a session "
+            f"{source}: Fz rises to {touched.max():+.3g} N under contact; a session "
             "has negative Fz there; turn the sign of the file's forces (all axes turn with the "
             "frame), or import the pressing force alone as one column"
         )

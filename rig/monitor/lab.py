@@ -42,7 +42,7 @@ LETTERS = {"open": ".", "done": "d", "limited": "l"}
 # Sessions kept open, and the time after which the folder is looked at again [s].
 _OPEN, _FRESH = 2, 1.0
 _THUMBNAILS = 400
-_FORCE_LIMITED = OUTCOMES.index("force_limited")
+FORCE_LIMITED = OUTCOMES.index("force_limited")
 Stamp = tuple[int, int, int]
 _CHOICES = ("sensor", "indenter", "status")
 
@@ -258,7 +258,7 @@ def _points(session: Session, plan: Plan | None) -> dict[int, list[float]]:
 def _outcomes(session: Session, plan: Plan | None) -> str:
     """Return one of LETTERS for each target."""
     count, segments = len(session.targets.get("point", ())), session.segments
-    limited = set(segments["target"][segments["outcome"] == _FORCE_LIMITED].tolist())
+    limited = set(segments["target"][segments["outcome"] == FORCE_LIMITED].tolist())
     pressed = {int(target) for target in np.unique(segments["target"])}
     done = pressed if plan is None else finished_targets(plan, segments, count)
     return "".join(
