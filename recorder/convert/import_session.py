@@ -238,12 +238,6 @@ def _on_one_clock(
     return _moved(take, moving, lag.moved), lag, [message]
 
 
-def _rest(signal: Signal) -> Span:
-    """Return the beginning of a signal, which a lag does not need to be free of contact."""
-    samples = max(1, min(5, len(signal.t_ns) // 4))
-    return int(signal.t_ns[0]), int(signal.t_ns[samples - 1]) + 1
-
-
 def _moved(take: Take, streams: Sequence[str], move: Callable[[Times], Times]) -> Take:
     """Return the recording with the times of some streams moved, all of them from 0 on."""
     times = {track.stream: track.content.t_ns for track in take.tracks}
@@ -291,7 +285,8 @@ def _contacts(
         raise SessionError(f"{take.name}: found neither images nor taxels nor forces")
     pressed = answers.spans("press", take.name)
     if pressed == ["none"]:
-        return (0, 0), [], signal.change(_rest(signal))
+        beginning = signal.t_ns[: max(1, min(5, len(signal.t_ns) // 4))]
+        return (0, 0), [], signal.change((int(beginning[0]), int(beginning[-1]) + 1))
     stated = [_span("--no-contact", text) for text in answers.spans("no_contact", take.name)]
     no_contact = stated[0] if stated else find_no_contact(signal, take.name, sensed)
     trace = signal.change(no_contact)
