@@ -149,9 +149,9 @@ def _draft(take: Take, answers: Answers) -> Draft:
         no_contact, presses, trace = _stills(film, sensed, answers)
     else:
         no_contact, presses, trace = _contacts(take, sensed, answers, end_ns)
-    forces, track = take.numbers("force"), take.first("force")
-    if forces is not None and track is not None and presses:
-        _require_sign(track.source, forces, no_contact, presses)
+    forces, gauge = take.numbers("force"), take.first("force")
+    if forces is not None and gauge is not None and presses:
+        _require_sign(gauge.source, forces, no_contact, presses)
     if presses:
         begin, end_s = NS * no_contact[0], NS * no_contact[1]
         zero = "" if forces is None else f" ({_zero(forces, no_contact)})"
