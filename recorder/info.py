@@ -62,8 +62,6 @@ def digests(session: Session) -> dict[str, str]:
     return {name: stream_digest(stream) for name, stream in session.streams.items()}
 
 
-# Text summary of a session or an archive.
-
 _PROGRAMS = ("tactile-rig", "python", "zarr")
 _ATTRIBUTES = ("sensor", "indenter", "operator", "mock", "started_utc", "profile", "reason")
 

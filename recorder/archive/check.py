@@ -25,8 +25,6 @@ from recorder.markers import MarkerCheck, MarkerFlag, unpack
 from recorder.store.files import Files
 from recorder.store.reader import ColumnReader
 
-# Marker-count check of a sensor: frames that lost or gained markers, with the reason.
-
 _ROWS = 256  # frames in memory at once
 
 
@@ -71,7 +69,6 @@ def _of_reference(sensor: ArchivedSensor, number: int, check: MarkerCheck) -> It
 
 
 def _field(sensor: ArchivedSensor, batch: NDArray[np.int64], frame: int) -> NDArray[np.float16]:
-    """Return the displacement of one frame of a batch of rows."""
     return sensor.displacement([int(batch[frame])]).squeeze(axis=0)
 
 
@@ -98,7 +95,7 @@ def check_archive(files: Files, path: Path) -> Iterator[Finding]:
     for name in attrs["sensors"]:
         try:
             sensor = ArchivedSensor(path / name, files)
-            structure = [*_check_structure(sensor), *_check_shared(sensor)]
+            structure = list(_check_structure(sensor))
         except SessionError as error:
             yield Finding("metadata", name, str(error))
             continue
@@ -131,16 +128,11 @@ def _check_structure(sensor: ArchivedSensor) -> Iterator[Finding]:
         if name not in ("references", "sources") and layout.rows() != len(sensor):
             message = f"found {layout.rows()} rows, the sensor has {len(sensor)} frames"
             yield Finding("unequal-lengths", array_path, message)
-
-
-def _check_shared(sensor: ArchivedSensor) -> Iterator[Finding]:
-    """Yield a finding if the fields shared from another sensor differ in number from the frames."""
-    if sensor.keeps_displacement or sensor.fields is None:
-        return
-    if len(sensor.fields) != len(sensor):
-        owner, rows = sensor.attrs.get("displacement_of"), len(sensor.fields)
-        message = f"displacement_of {owner} has {rows} rows, the sensor has {len(sensor)} frames"
-        yield Finding("unequal-lengths", sensor.name, message)
+    fields = None if sensor.keeps_displacement else sensor.fields
+    if fields is not None and len(fields) != len(sensor):
+        owner = sensor.attrs.get("displacement_of")
+        message = f"displacement_of {owner} has {len(fields)} rows, the sensor has {len(sensor)} "
+        yield Finding("unequal-lengths", sensor.name, f"{message}frames")
 
 
 def _prescribed(sensor: ArchivedSensor, name: str, stored: Kind) -> Kind:

@@ -341,9 +341,6 @@ def _typed(values: Any, column: ColumnKind, rows: int, where: str) -> Array:
     return array.astype(dtype.newbyteorder("<"))
 
 
-# Plan of an archive.
-
-
 @dataclass(frozen=True, slots=True)
 class MarkerCount:
     """Settings for counting the markers of a sensor in a check."""

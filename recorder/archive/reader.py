@@ -28,7 +28,7 @@ from recorder.errors import SessionError
 from recorder.markers import SMALLEST_PX, Lattice, count_markers, unpack
 from recorder.store.files import LOCAL, Files, locate
 from recorder.store.layout import Array
-from recorder.store.reader import ColumnReader, Kept
+from recorder.store.reader import ColumnReader, Kept, Table
 
 Rows = Sequence[int] | NDArray[np.integer[Any]] | slice
 
@@ -63,28 +63,16 @@ class Simulated:
     """The twin and settings that they are from."""
 
 
-class SensorTable(Mapping[str, Array]):
+class SensorTable(Table):
     """Columns of a sensor's table, read on access; those used last are kept in memory."""
 
     def __init__(self, sensor: Path, files: Files) -> None:
-        self._sensor, self._files = sensor, files
-        self._columns: Kept[Array] = Kept()
+        self._path, self._files = sensor / "table", files
+        self._names = tuple(COLUMNS)
+        self._read: Kept[Array] = Kept()
 
-    def __getitem__(self, name: str) -> Array:
-        if name not in COLUMNS:
-            table, names = self._sensor / "table", ", ".join(COLUMNS)
-            raise KeyError(f"{table}: no column {name!r}; known: {names}")
-        values = self._columns.get(name)
-        if values is None:
-            array = late_array(self._sensor, f"table/{name}", self._files)
-            values = self._columns.put(name, ColumnReader(array).read())
-        return values
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(COLUMNS)
-
-    def __len__(self) -> int:
-        return len(COLUMNS)
+    def _load(self, name: str) -> Array:
+        return ColumnReader(late_array(self._path.parent, f"table/{name}", self._files)).read()
 
 
 class ArchivedSensor:
@@ -326,9 +314,6 @@ def archive_fingerprint(archive: MarkerArchive) -> str:
         digest.update("\n".join(sensor.sources).encode())
         digest.update(sensor.reference_frames.tobytes())
     return digest.hexdigest()
-
-
-# Text summary of an archive.
 
 
 def describe_archive(path: str | os.PathLike[str]) -> str:

@@ -103,7 +103,7 @@ class ArchiveWriter:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         """Open an archive that `begin` created."""
         self.path = Path(path)
-        attrs = self._attrs()
+        attrs = read_archive_attrs(self.path)
         self.sensors: Mapping[str, SensorWriter] = {
             name: SensorWriter(self, name, len(attrs["indenters"])) for name in attrs["sensors"]
         }
@@ -122,7 +122,7 @@ class ArchiveWriter:
     @property
     def complete(self) -> bool:
         """True if nothing remains to be done."""
-        return bool(self._attrs()["status"] == COMPLETE)
+        return bool(read_archive_attrs(self.path)["status"] == COMPLETE)
 
     def missing(self) -> dict[str, list[int]]:
         """Return the units of each sensor that remain to be written; empty if complete."""
@@ -152,9 +152,6 @@ class ArchiveWriter:
             sensor.ledger.remove()
         for left in self.path.rglob(f"*{TEMPORARY}"):
             left.unlink(missing_ok=True)
-
-    def _attrs(self) -> dict[str, Any]:
-        return read_archive_attrs(self.path)
 
 
 class SensorWriter:

@@ -32,6 +32,7 @@ from recorder.convert.runs import RecordedPress, need_presses, utc_offset
 from recorder.errors import SessionError
 from recorder.progress import ReportItems
 from recorder.session.columns import Stream
+from recorder.session.frames import resting
 from recorder.session.reader import Session
 from recorder.spec import AXES, PHASES
 from recorder.store import images
@@ -108,7 +109,6 @@ def _complete(session: Session, streams: Iterable[str]) -> NDArray[np.bool_]:
 
 
 def _write_rows(session: Session, name: str, folder: Path, rows: Array) -> None:
-    """Write some rows of one stream into its folder."""
     stream, values = session.streams[name], session.frames[session.columns[name]][rows]
     kind = stream.traits.kind
     if kind == "force":
@@ -121,7 +121,8 @@ def _write_rows(session: Session, name: str, folder: Path, rows: Array) -> None:
             (folder / f"{number:04d}.jpg").write_bytes(data)
     else:
         folder.mkdir(parents=True)
-        change = np.rint(values - _resting(session, name)).astype(np.int64)
+        rest = np.rint(resting(session, session.columns[name]))
+        change = np.rint(values - rest).astype(np.int64)
         for number, counts in enumerate(change):
             np.save(folder / f"{number:04d}.npy", counts)
 
@@ -144,16 +145,8 @@ def _reference(session: Session, name: str, folder: Path) -> None:
         (folder / "ref.jpg").write_bytes(next(_jpegs(stream, [row])))
     elif stream.traits.kind == "taxels":
         folder.mkdir(parents=True)
-        np.save(folder / "ref.npy", _resting(session, name))
-
-
-def _resting(session: Session, name: str) -> Array:
-    """Return the counts without contact (taxels, 3): the first reference, else the first frame."""
-    column = session.columns[name]
-    counts = session.reference[column]
-    finite = np.flatnonzero(np.isfinite(counts.reshape(len(counts), -1)).all(axis=1))
-    resting = counts[finite[0]] if finite.size else session.frames[column][0]
-    return np.asarray(np.rint(resting), np.int64)
+        rest = np.rint(resting(session, session.columns[name])).astype(np.int64)
+        np.save(folder / "ref.npy", rest)
 
 
 def _path(session: Session, folder: Path, presses: Sequence[RecordedPress]) -> None:

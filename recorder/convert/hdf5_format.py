@@ -78,8 +78,12 @@ def _fill(file: Any, session: Session, options: Options, progress: ReportItems) 
         if name in streams:
             done += len(stream)
             progress(done, total)
-    _write_table(file, session, "targets", TARGET_UNITS)
-    _write_table(file, session, "frames", frame_units(session))
+    _write_table(file.create_group("targets"), session.targets, TARGET_UNITS)
+    frames = file.create_group("frames")
+    if len(session.frames):
+        about = {"rate_hz": session.rate_hz, "phases": list(PHASES), "streams": session.columns}
+        _set_attrs(frames, about)
+    _write_table(frames, session.frames, frame_units(session))
 
 
 def _write_column(group: Any, stream: Stream, column: Column) -> None:
@@ -122,13 +126,8 @@ def _write_images(group: Any, stream: Stream, column: Column, options: Options) 
 
 
 def _write_table(
-    file: Any, session: Session, name: str, units: Mapping[str, tuple[str, str]]
+    group: Any, table: Mapping[str, Any], units: Mapping[str, tuple[str, str]]
 ) -> None:
-    table = session.targets if name == "targets" else session.frames
-    group = file.create_group(name)
-    if name == "frames" and len(table):
-        attrs = {"rate_hz": session.rate_hz, "phases": list(PHASES), "streams": session.columns}
-        _set_attrs(group, attrs)
     for column, values in table.items():
         layout = _chunked(_BLOCK, values.shape[1:])
         out = group.create_dataset(column, data=values, **layout, **_PACKED)

@@ -66,8 +66,6 @@ _BEHIND, _AHEAD, _WANDER, _STEADY = 0.25, 0.02, 0.05, 1.0
 
 @dataclass(slots=True)
 class _Topic:
-    """Content of a topic."""
-
     kind: As
     t_ns: list[int] = field(default_factory=list)
     log_ns: list[int] = field(default_factory=list)

@@ -168,7 +168,6 @@ def _take(name: str, files: Sequence[_File], answers: Answers, part: Part) -> Ta
 def _numbers(
     path: Path, stated: As | None, stream: str, films: Sequence[RecordedTrack], answers: Answers
 ) -> Iterator[RecordedTrack]:
-    """Yield the tracks of a file of numbers."""
     suffix = path.suffix.lower()
     if suffix == ".csv":
         yield from _csv(path, stream, films, answers)

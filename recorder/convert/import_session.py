@@ -32,6 +32,7 @@ from recorder.convert.import_tracks import (
     As,
     Film,
     MissingAnswer,
+    Numbers,
     RecordedTrack,
     Take,
     Times,
@@ -148,9 +149,9 @@ def _draft(take: Take, answers: Answers) -> Draft:
         no_contact, presses, trace = _stills(film, sensed, answers)
     else:
         no_contact, presses, trace = _contacts(take, sensed, answers, end_ns)
-    forces = take.first("force")
-    if forces is not None and presses:
-        _require_sign(forces, no_contact, presses)
+    forces, gauge = take.numbers("force"), take.first("force")
+    if forces is not None and gauge is not None and presses:
+        _require_sign(gauge.source, forces, no_contact, presses)
     if presses:
         begin, end_s = NS * no_contact[0], NS * no_contact[1]
         zero = "" if forces is None else f" ({_zero(forces, no_contact)})"
@@ -175,7 +176,6 @@ def _shrunk(image: Any) -> NDArray[np.uint8]:
 
 
 def _sensor_track(take: Take) -> RecordedTrack | None:
-    """Return the first camera, else the first taxels."""
     return take.first("video") or take.first("taxels")
 
 
@@ -238,12 +238,6 @@ def _on_one_clock(
     return _moved(take, moving, lag.moved), lag, [message]
 
 
-def _rest(signal: Signal) -> Span:
-    """Return the beginning of a signal, which a lag does not need to be free of contact."""
-    samples = max(1, min(5, len(signal.t_ns) // 4))
-    return int(signal.t_ns[0]), int(signal.t_ns[samples - 1]) + 1
-
-
 def _moved(take: Take, streams: Sequence[str], move: Callable[[Times], Times]) -> Take:
     """Return the recording with the times of some streams moved, all of them from 0 on."""
     times = {track.stream: track.content.t_ns for track in take.tracks}
@@ -260,13 +254,10 @@ def _moved(take: Take, streams: Sequence[str], move: Callable[[Times], Times]) -
     return replace(take, tracks=tuple(tracks))
 
 
-def _zero(track: RecordedTrack, no_contact: Span) -> str:
+def _zero(forces: Numbers, no_contact: Span) -> str:
     """Return the forces that are taken for none, such as `Fz 0.31 N is zero`."""
-    content = track.content
-    if isinstance(content, Film):
-        return ""
-    rest = content.value[_inside(content.t_ns, no_contact), :3].mean(axis=0)
-    axes = [axis for axis in AXES[:3] if axis in content.attrs["axes_measured"]]
+    rest = forces.value[_inside(forces.t_ns, no_contact), :3].mean(axis=0)
+    axes = [axis for axis in AXES[:3] if axis in forces.attrs["axes_measured"]]
     return ", ".join(f"{axis} {rest[AXES.index(axis)]:.3g} N" for axis in axes) + " is zero"
 
 
@@ -294,7 +285,8 @@ def _contacts(
         raise SessionError(f"{take.name}: found neither images nor taxels nor forces")
     pressed = answers.spans("press", take.name)
     if pressed == ["none"]:
-        return (0, 0), [], signal.change(_rest(signal))
+        beginning = signal.t_ns[: max(1, min(5, len(signal.t_ns) // 4))]
+        return (0, 0), [], signal.change((int(beginning[0]), int(beginning[-1]) + 1))
     stated = [_span("--no-contact", text) for text in answers.spans("no_contact", take.name)]
     no_contact = stated[0] if stated else find_no_contact(signal, take.name, sensed)
     trace = signal.change(no_contact)
@@ -351,12 +343,11 @@ def _span(option: str, text: str) -> Span:
     return span
 
 
-def _require_sign(track: RecordedTrack, no_contact: Span, presses: Sequence[Press]) -> None:
+def _require_sign(source: str, forces: Numbers, no_contact: Span, presses: Sequence[Press]) -> None:
     """Reject three-axis forces whose Fz rises under contact: a session has negative Fz there."""
-    content = track.content
-    if isinstance(content, Film) or "Fz" not in content.attrs["axes_measured"]:
+    if "Fz" not in forces.attrs["axes_measured"]:
         return
-    t_ns, force = content.t_ns, content.value[:, 2]
+    t_ns, force = forces.t_ns, forces.value[:, 2]
     rest = force[_inside(t_ns, no_contact)]
     spans = [_inside(t_ns, (press.start_ns, press.end_ns)) for press in presses]
     touched = force[np.concatenate(spans)]
@@ -365,7 +356,7 @@ def _require_sign(track: RecordedTrack, no_contact: Span, presses: Sequence[Pres
     change = touched - rest.mean()
     if float(change.max()) > 2 * -float(change.min()) and float(change.max()) > 4 * rest.std():
         raise SessionError(
-            f"{track.source}: Fz rises to {touched.max():+.3g} N under contact; a session "
+            f"{source}: Fz rises to {touched.max():+.3g} N under contact; a session "
             "has negative Fz there; turn the sign of the file's forces (all axes turn with the "
             "frame), or import the pressing force alone as one column"
         )
@@ -507,7 +498,6 @@ def _targets(drafts: Sequence[Draft], answers: Answers) -> dict[str, Any]:
 
 
 def _specs(drafts: Sequence[Draft]) -> list[StreamSpec]:
-    """Return the streams of a session."""
     first = [_spec(track) for track in drafts[0].take.tracks]
     lags = [draft.lag for draft in drafts if draft.lag is not None]
     if len(lags) == len(drafts):

@@ -109,48 +109,31 @@ def _rate(path: Path, data: mmap.mmap, start: int, size: int) -> float:
 
 # First bytes of a JPEG file, and its last.
 JPEG, _EOI = b"\xff\xd8", b"\xff\xd9"
-_DHT, _SOS = 0xC4, 0xDA
-_STANDALONE = frozenset(range(0xD0, 0xD9)) | {0x01}
+_DHT = 0xC4
 
 
 def whole_jpeg(jpeg: bytes, where: str) -> tuple[bytes, bool]:
     """Return the file with Huffman tables, True if they were inserted; padding stays behind."""
     if not jpeg.rstrip(b"\0").endswith(_EOI):
         raise SessionError(f"{where}: no whole JPEG: it does not end with one's end marker")
-    tables, at = _header(jpeg, where)
-    if tables:
-        return jpeg, False
-    return jpeg[:at] + _standard_tables() + jpeg[at:], True
-
-
-def _header(jpeg: bytes, where: str) -> tuple[bool, int]:
-    """Return True if there are Huffman tables, and the offset of SOS."""
     if jpeg[:2] != JPEG:
         raise SessionError(f"{where}: no JPEG: it begins with {jpeg[:2]!r}")
-    at, tables = 2, False
-    while at + 4 <= len(jpeg) and jpeg[at] == 0xFF:
-        marker = jpeg[at + 1]
-        if marker == 0xFF or marker in _STANDALONE:
-            at += 1 if marker == 0xFF else 2
-            continue
-        if marker == _SOS:
-            return tables, at
-        tables = tables or marker == _DHT
-        at += 2 + int(struct.unpack_from(">H", jpeg, at + 2)[0])
-    raise SessionError(f"{where}: no whole JPEG: its header ends before a picture")
+    try:
+        *parts, (_, at, _) = images.jpeg_segments(jpeg)
+    except ValueError:
+        raise SessionError(f"{where}: no whole JPEG: its header ends before a picture") from None
+    if any(marker == _DHT for marker, _, _ in parts):
+        return jpeg, False
+    return jpeg[:at] + _standard_tables() + jpeg[at:], True
 
 
 @functools.cache
 def _standard_tables() -> bytes:
     """Return the default tables (ITU-T T.81, Annex K.3) for a file without any."""
     sample = images.encode_jpeg(np.zeros((16, 16, 3), np.uint8), 90)
-    at, tables = 2, b""
-    while sample[at + 1] != _SOS:
-        length = 2 + int(struct.unpack_from(">H", sample, at + 2)[0])
-        if sample[at + 1] == _DHT:
-            tables += sample[at : at + length]
-        at += length
-    return tables
+    parts = images.jpeg_segments(sample)
+    tables = ((at, at + 4 + len(content)) for marker, at, content in parts if marker == _DHT)
+    return b"".join(sample[start:end] for start, end in tables)
 
 
 # Rows, columns [px] and bits per channel; 32 are floats.

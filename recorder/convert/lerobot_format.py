@@ -11,7 +11,7 @@ import math
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +80,6 @@ def statistics_of(values: Array, count: int | None = None) -> Statistics:
 
 
 def _image_statistics(encoded: Sequence[bytes]) -> Statistics:
-    """Return the statistics of sampled pixels of some encoded images."""
     chosen = np.unique(np.linspace(0, len(encoded) - 1, _SAMPLED).astype(int))
     pixels = []
     for index in chosen:
@@ -142,7 +141,7 @@ _DATA, _EPISODES = _PATH.format("data"), _PATH.format("meta/episodes")
 
 @dataclass(frozen=True, slots=True)
 class Feature:
-    """One column of the data files."""
+    """One column of the data files, as in meta/info.json."""
 
     dtype: str
     """LeRobot's name of the type."""
@@ -150,11 +149,6 @@ class Feature:
     """Shape of one value; (1,) is a scalar."""
     names: tuple[str, ...] | None = None
     """Names of its elements."""
-
-    def info(self) -> dict[str, Any]:
-        """Return its entry in meta/info.json."""
-        names = None if self.names is None else list(self.names)
-        return {"dtype": self.dtype, "shape": list(self.shape), "names": names}
 
     def arrow(self) -> pa.DataType:
         """Return its parquet type, as in the `datasets` library."""
@@ -206,7 +200,6 @@ def features_of(session: Session) -> dict[str, Feature]:
 
 
 def _feature(stream: Stream) -> Feature:
-    """Return the feature of a stream's values."""
     value = stream.value_column
     if value is None:
         raise SessionError(f"{stream.name}: has no column value")
@@ -343,12 +336,11 @@ class _Dataset:
             "splits": {"train": f"0:{len(self.episodes)}"},
             "data_path": _DATA,
             "video_path": None,
-            "features": {name: kind.info() for name, kind in self.features.items()},
+            "features": {name: asdict(kind) for name, kind in self.features.items()},
         }
         _write_json(self.path / "meta" / "info.json", info)
 
     def _documents(self, stats: dict[str, Statistics]) -> dict[str, dict[str, list[Any]]]:
-        """Return the statistics of features as they are stored."""
         return {
             name: document_of(part, of_images=self.features[name].dtype == "image")
             for name, part in stats.items()

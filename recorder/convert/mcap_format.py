@@ -30,8 +30,6 @@ from recorder.session.columns import Stream
 from recorder.session.reader import Session
 from recorder.spec import OUTCOMES, PHASES, event_text
 
-# JSON schemas of messages that Foxglove has no type for, and the topics of each stream.
-
 # Topic of the first stream of a kind; all others have the stream's name. Poses are also sent as
 # transforms on `/tf`; `/segments` and `/reference` always exist.
 TOPICS: Mapping[str, str] = {

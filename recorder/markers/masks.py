@@ -61,9 +61,6 @@ def require_masks(masks: Masks) -> None:
         )
 
 
-# Patches of masks.
-
-
 @dataclass(frozen=True, slots=True)
 class Blobs:
     """Patches of some masks, ordered by frame and then from top to bottom."""

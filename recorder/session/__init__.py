@@ -1,58 +1,32 @@
 """Sessions: writing, reading, alignment, recovery and windows of synchronised rows."""
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from recorder.session.align import EXPOSURE, Window, captured, linear, quaternion
-from recorder.session.clocks import clock_lines
-from recorder.session.columns import Stream
-from recorder.session.frames import axes_of, in_frame, surface_heights
-from recorder.session.loss import loss_lines
-from recorder.session.reader import Session, accounts_of
-from recorder.session.states import state_lines
-from recorder.session.stream_writer import StreamWriter
-from recorder.session.uncertainty import sigmas_of, time_lines
-from recorder.session.writer import SessionWriter
+from recorder.on_demand import imports_on_demand
 
 if TYPE_CHECKING:
-    from recorder.session.press_curve import press_curves, save_curves
-    from recorder.session.sheet import contact_sheet, thumbnails
+    from recorder.session.align import EXPOSURE as EXPOSURE
+    from recorder.session.align import Window as Window
+    from recorder.session.align import captured as captured
+    from recorder.session.align import linear as linear
+    from recorder.session.align import quaternion as quaternion
+    from recorder.session.clocks import clock_lines as clock_lines
+    from recorder.session.columns import Stream as Stream
+    from recorder.session.frames import axes_of as axes_of
+    from recorder.session.frames import in_frame as in_frame
+    from recorder.session.frames import resting as resting
+    from recorder.session.frames import surface_heights as surface_heights
+    from recorder.session.loss import loss_lines as loss_lines
+    from recorder.session.press_curve import press_curves as press_curves
+    from recorder.session.press_curve import save_curves as save_curves
+    from recorder.session.reader import Session as Session
+    from recorder.session.reader import accounts_of as accounts_of
+    from recorder.session.sheet import contact_sheet as contact_sheet
+    from recorder.session.sheet import thumbnails as thumbnails
+    from recorder.session.states import state_lines as state_lines
+    from recorder.session.stream_writer import StreamWriter as StreamWriter
+    from recorder.session.uncertainty import sigmas_of as sigmas_of
+    from recorder.session.uncertainty import time_lines as time_lines
+    from recorder.session.writer import SessionWriter as SessionWriter
 
-__all__ = [
-    "EXPOSURE",
-    "Session",
-    "SessionWriter",
-    "Stream",
-    "StreamWriter",
-    "Window",
-    "accounts_of",
-    "axes_of",
-    "captured",
-    "clock_lines",
-    "contact_sheet",
-    "in_frame",
-    "linear",
-    "loss_lines",
-    "press_curves",
-    "quaternion",
-    "save_curves",
-    "sigmas_of",
-    "state_lines",
-    "surface_heights",
-    "thumbnails",
-    "time_lines",
-]
-
-# Module of each drawing; imported on demand, since only these need Pillow.
-_DRAWINGS = {
-    "contact_sheet": "sheet",
-    "press_curves": "press_curve",
-    "save_curves": "press_curve",
-    "thumbnails": "sheet",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _DRAWINGS:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_DRAWINGS[name]}"), name)
+__getattr__, __dir__ = imports_on_demand(__name__, __file__)

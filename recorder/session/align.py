@@ -263,18 +263,6 @@ class Sources:
     signal: Source | None
     """Stream that the others are aligned to."""
 
-    @property
-    def span(self) -> tuple[int, int] | None:
-        """First and last capture time of any stream with a role [ns]; None without samples."""
-        times = [
-            source.times
-            for source in self.streams.values()
-            if source.traits.roles and len(source.times)
-        ]
-        if not times:
-            return None
-        return min(int(t[0]) for t in times), max(int(t[-1]) for t in times)
-
 
 def source(stream: Columns, rows: slice, losses: Losses) -> Source:
     """Return some rows of a stream with their capture times, and the losses in them."""

@@ -191,7 +191,6 @@ class Stream:
         return reader.chunks([self._checked(int(row)) for row in rows])
 
     def _reader(self, name: str) -> ColumnReader:
-        """Return the reader of a small column."""
         if name not in self._readers:
             raise SessionError(f"{self.name}: no column {name!r}; known: {', '.join(self.names)}")
         if name not in self.small:

@@ -156,7 +156,7 @@ def _part_table(
     sources = sources_near(session.run_streams(run), ticks if len(ticks) else np.zeros(1, np.int64))
     rows = align_window(ticks, sources)
     count = len(ticks)
-    target = _of_segment(session, "target", segment)
+    target = _rows_of(session.segments["target"], segment, -1)
     signal = None if rows.signal is None else rows.streams[rows.signal]
     table: dict[str, Array] = {
         "t_ns": ticks,
@@ -167,7 +167,7 @@ def _part_table(
         "wrench": np.full((count, 6), np.nan),
         "pose": np.full((count, 6), np.nan),
         "target": target,
-        "phase": _of_segment(session, "phase", segment),
+        "phase": _rows_of(session.segments["phase"], segment, -1),
         "depth": np.full(count, np.nan),
         "skew": rows.skew,
         "time_sigma": row_sigma(rows, sources.streams, sigmas),
@@ -188,7 +188,7 @@ def _part_table(
     if frame is not None:
         table["depth"] = -in_frame(np.asarray(frame, np.float64), table["pose"])[:, 2]
         if len(heights := surface_heights(session)):
-            table["depth"] += _of_target(heights, target, 0.0)
+            table["depth"] += _rows_of(heights, target, 0.0)
     return table
 
 
@@ -208,18 +208,19 @@ def frame_units(session: Session) -> dict[str, tuple[str, str]]:
     return units
 
 
-def _of_segment(session: Session, name: str, segment: NDArray[np.int64]) -> Array:
-    """Return a column of `segments` for each tick; -1 outside every segment."""
-    values = session.segments[name]
-    if not len(values):
-        return np.full(len(segment), -1, values.dtype)
-    return np.where(segment >= 0, values[segment], -1).astype(values.dtype)
+def _rows_of(values: Array, rows: NDArray[Any], otherwise: float) -> Array:
+    """Return the values (n,) of some rows; `otherwise` for a row that there is not."""
+    known = (rows >= 0) & (rows < len(values))
+    chosen = np.full(len(rows), otherwise, values.dtype)
+    chosen[known] = values[rows[known]]
+    return chosen
 
 
-def _of_target(values: Array, target: NDArray[np.int32], otherwise: float) -> Array:
-    """Return the value of each target; `otherwise` for one that the session does not have."""
-    is_known = (target >= 0) & (target < len(values))
-    return np.where(is_known, values[np.where(is_known, target, 0)], otherwise)
+def resting(session: Session, column: str) -> Array:
+    """Return a stream's values without contact: the first complete reference, else frame."""
+    reference = session.reference[column]
+    complete = np.flatnonzero(np.isfinite(reference).all(axis=tuple(range(1, reference.ndim))))
+    return np.asarray(reference[complete[0]] if complete.size else session.frames[column][0])
 
 
 def _reference_offset(
@@ -235,7 +236,7 @@ def _reference_offset(
     if not has_references or not len(reference["point"]):
         return np.zeros((len(ticks), 6))
     offset = np.zeros((len(ticks), *reference[column].shape[1:]))
-    point = _of_target(targets["point"], target, -1)
+    point = _rows_of(targets["point"], target, -1)
     known_points: set[int] = set()
     for row in np.argsort(reference["t_ns"], kind="stable"):
         if reference["run"][row] == run:

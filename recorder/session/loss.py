@@ -181,7 +181,9 @@ def lateness(
     for part in parts:
         late[part] = (t_ns[part] - zero) * _NS
     period = _period(late, partial(numbers, losses=losses), rate_hz)
-    clock = device_t if device_t is not None and _finite(device_t) else None
+    clock = device_t
+    if clock is not None and not all(np.isfinite(clock[part]).all() for part in parts):
+        clock = None
 
     def due(first: int, stop: int) -> Floats:
         if clock is not None:
@@ -195,10 +197,6 @@ def lateness(
         steps += (part.start + 1 + np.flatnonzero(np.diff(moments) <= 0)).tolist()
     wander = [_lift(late, due, *ends) for ends in pairwise([0, *steps, len(late)])]
     return late, max(wander)
-
-
-def _finite(values: Floats | Rows) -> bool:
-    return all(np.isfinite(values[part]).all() for part in blocks(len(values)))
 
 
 def other_rate(
@@ -438,9 +436,6 @@ def _lift(late: Floats, due: Callable[[int, int], Floats], first: int, stop: int
     return float(np.quantile(np.abs(np.diff(least)), 0.75)) if len(least) > 1 else 0.0
 
 
-# Losses of recorded streams.
-
-
 def is_regular(stream: Columns) -> bool:
     """Return False for events, which come at no rate: their last sample holds for any time."""
     return stream.traits.defaults.max_age != math.inf
@@ -478,8 +473,6 @@ def is_compressed(attrs: Mapping[str, Any]) -> bool:
     """
     return bool(attrs.get("replay_of", {}).get("speed", 1.0) != 1.0)
 
-
-# Account of the samples that a session has of a stream, and of those that it lost.
 
 _SHOWN = 5  # targets named in a line
 

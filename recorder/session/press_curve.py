@@ -125,7 +125,6 @@ def _samples(session: Session, row: int) -> tuple[Floats, Floats]:
 
 
 def _force_and_pose(session: Session) -> tuple[str, str]:
-    """Return the first gauge and the first arm."""
     force, pose = session.first("force"), session.first("pose")
     if force is None or pose is None:
         what = "force" if force is None else "pose"

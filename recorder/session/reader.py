@@ -336,16 +336,11 @@ class Session:
                 lost[target] += count
         return +lost
 
-    @property
-    def has_targets(self) -> bool:
-        """True if the session has targets; imported sessions have neither them nor segments."""
-        # Use the declared lengths: a table with corrupt chunks still has targets.
-        return any(self.targets.declared_rows(name) for name in self.targets)
-
     def run_ticks(self, rate_hz: float) -> Iterator[tuple[int, Times, NDArray[np.int64]]]:
         """Yield each run with its ticks and the segment of each tick."""
         segments = self.segments
-        if not self.has_targets:
+        # Sessions made elsewhere may have no targets; a table with corrupt chunks still has them.
+        if not any(self.targets.declared_rows(name) for name in self.targets):
             for run in range(max(len(self.runs), 1)):
                 ticks = np.zeros(0, np.int64)
                 if span := span_of_run(self.run_streams(run)):

@@ -12,6 +12,7 @@ from recorder.charts import FORCES, PURPLE
 from recorder.errors import SessionError
 from recorder.plot import PAPER, Curve, Tile, line_plot, sheet
 from recorder.session.align import NS
+from recorder.session.frames import resting
 from recorder.session.reader import Session
 from recorder.spec import PHASES
 
@@ -97,8 +98,7 @@ def thumbnails(session: Session, chosen: NDArray[np.intp]) -> list[Image.Image]:
         ]
     if "taxels" not in frames:
         return [Image.new("RGB", _THUMB, (30, 34, 42)) for _ in chosen]
-    counts = frames["taxels"]
-    change = counts[chosen] - _at_rest(session, counts)
+    change = frames["taxels"][chosen] - resting(session, "taxels")
     full_scale = float(np.nanmax(np.abs(change), initial=1.0))
     return [_taxel_picture(row, full_scale) for row in change]
 
@@ -145,15 +145,7 @@ def _disc(x: float, y: float, radius: float) -> tuple[float, float, float, float
     return (x - radius, y - radius, x + radius, y + radius)
 
 
-def _at_rest(session: Session, counts: NDArray[np.float64]) -> NDArray[Any]:
-    """Return the counts without contact (taxels, 3): the first reference, else the first frame."""
-    reference = session.reference["taxels"]
-    complete_rows = np.flatnonzero(np.isfinite(reference).all(axis=(1, 2)))
-    return np.asarray(reference[complete_rows[0]] if complete_rows.size else counts[0])
-
-
 def _side_by_side(pictures: list[Image.Image]) -> Image.Image:
-    """Return pictures of equal size in one thumbnail."""
     thumb = Image.new("RGB", _THUMB, (30, 34, 42))
     for index, picture in enumerate(pictures):
         thumb.paste(picture, (index * picture.width, 0))

@@ -1,7 +1,15 @@
 """Storage on disk: shards that act as logs, journals, columns and atomic file changes."""
 
-from recorder.store.files import replace_file, sync_directory
-from recorder.store.images import decode_jpeg
-from recorder.store.reader import ImageTail, open_tail
+from typing import TYPE_CHECKING
 
-__all__ = ["ImageTail", "decode_jpeg", "open_tail", "replace_file", "sync_directory"]
+from recorder.on_demand import imports_on_demand
+
+if TYPE_CHECKING:
+    from recorder.store.files import replace_file as replace_file
+    from recorder.store.files import sync_directory as sync_directory
+    from recorder.store.images import decode_jpeg as decode_jpeg
+    from recorder.store.images import jpeg_segments as jpeg_segments
+    from recorder.store.reader import ImageTail as ImageTail
+    from recorder.store.reader import open_tail as open_tail
+
+__getattr__, __dir__ = imports_on_demand(__name__, __file__)

@@ -271,9 +271,6 @@ def read_order(path: Path, files: Files = LOCAL) -> list[str]:
     return order
 
 
-# Attributes of a session or an archive.
-
-
 class _Attributes(dict[str, Any]):
     """Attributes of a session or an archive; `attrs["x"]` raises `SessionError` without an x."""
 

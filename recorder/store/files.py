@@ -411,9 +411,6 @@ class SealedFiles(Files):
         return SessionError(f"{self.name(path)}: differs from the manifest of run {run}")
 
 
-# Changes of files on the disk.
-
-
 def sync_directory(path: Path) -> None:
     """Make the names in a directory, or the content of a file, durable.
 

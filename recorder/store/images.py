@@ -1,9 +1,8 @@
 """Conversion between one image and the bytes of its chunk."""
 
 import asyncio
-import re
-import struct
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -31,7 +30,9 @@ JPEG_QUALITY = 95
 
 # Largest header of a zstd frame [bytes].
 _ZSTD_HEADER = 18
-_SOI, _SOS = b"\xff\xd8", b"\xff\xda"  # start of a JPEG; start of its coded picture
+# Start of a JPEG; markers of its size, of its coded picture, and of segments without content.
+_SOI, _SOF, _SOS = b"\xff\xd8", frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}, 0xDA
+_STANDALONE = frozenset(range(0xD0, 0xD9)) | {0x01}
 _COLORSPACE = {1: "GRAY", 3: "RGB"}
 
 
@@ -161,7 +162,7 @@ def encoder(column: Column, where: str) -> Callable[[object], bytes]:
             raise SessionError(f"{where}: found no JPEG ({error}), expected {expected}") from error
         if (height, width) != column.shape[:2]:
             raise SessionError(f"{where}: found JPEG {height}x{width}, expected {expected}")
-        offset, tables = _frame_header(data, height, width)
+        offset, tables = _frame_header(data)
         return data
 
     def pack(value: object) -> bytes:
@@ -175,19 +176,45 @@ def encoder(column: Column, where: str) -> Callable[[object], bytes]:
     return keep if column.codec == "jpeg" else pack
 
 
-def _frame_header(data: bytes, height: int, width: int) -> tuple[int, bytes]:
+def _frame_header(data: bytes) -> tuple[int, bytes]:
     """Return offset and bytes of a JPEG's segments from SOF to SOS; empty if not found."""
-    size = re.escape(struct.pack(">HH", height, width))
-    start = re.search(rb"\xff[\xc0-\xc3\xc5-\xc7\xc9-\xcb\xcd-\xcf]..\x08" + size, data, re.DOTALL)
-    if start is None:
-        return 0, b""
-    offset = at = start.start()
-    while at + 4 <= len(data) and data[at] == 0xFF:
-        end = at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-        if data.startswith(_SOS, at) and end <= len(data):
-            return offset, data[offset:end]
-        at = end
+    offset = 0
+    with contextlib.suppress(ValueError):
+        for marker, at, content in jpeg_segments(data):
+            if marker in _SOF:
+                offset = offset or at
+            elif marker == _SOS and offset:
+                return offset, data[offset : at + 4 + len(content)]
     return 0, b""
+
+
+def jpeg_segments(jpeg: bytes) -> Iterator[tuple[int, int, bytes]]:
+    """Yield marker, offset and content of each segment of a JPEG up to and including SOS.
+
+    A file is SOI (FFD8), segments (FF, marker, uint16 length that counts itself, content), the last
+    of them SOS followed by the coded picture, and EOI (FFD9).
+
+    Raises:
+        ValueError: Another kind of file, or one that ends before SOS.
+    """
+    if jpeg[:2] != _SOI:
+        raise ValueError("no SOI")
+    at = 2
+    while at + 4 <= len(jpeg):
+        if jpeg[at] != 0xFF:
+            raise ValueError(f"no marker at byte {at}")
+        marker = jpeg[at + 1]
+        if marker == 0xFF or marker in _STANDALONE:
+            at += 1 if marker == 0xFF else 2
+            continue
+        length = int.from_bytes(jpeg[at + 2 : at + 4], "big")
+        if length < 2 or at + 2 + length > len(jpeg):
+            raise ValueError(f"segment {marker:02X} at byte {at} is cut off")
+        yield marker, at, jpeg[at + 4 : at + 2 + length]
+        if marker == _SOS:
+            return
+        at += 2 + length
+    raise ValueError("no SOS")
 
 
 # `imagecodecs_jpeg` for zarr-python: reads images stored as the camera's original JPEG.

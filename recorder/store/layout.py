@@ -578,11 +578,3 @@ def table_columns(path: Path, files: Files = LOCAL) -> tuple[str, ...]:
     if names:
         read_document(files, path / "zarr.json")
     return names
-
-
-def declared_rows(path: Path, files: Files) -> int:
-    """Return the number of rows that a column declares, whether or not its chunks are there."""
-    shape = read_document(files, path / "zarr.json").get("shape")
-    if not isinstance(shape, list) or not shape or type(shape[0]) is not int:
-        raise SessionError(f"{files.name(path)}: found shape {shape!r:.200}, expected a list")
-    return shape[0]

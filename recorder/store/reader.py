@@ -22,6 +22,7 @@ import numpy as np
 
 from recorder.errors import SessionError
 from recorder.store import images
+from recorder.store.documents import read_document
 from recorder.store.files import LOCAL, Files
 from recorder.store.journal import GrowingLog, JournalReader
 from recorder.store.layout import (
@@ -32,7 +33,6 @@ from recorder.store.layout import (
     ShardIndex,
     StreamLayout,
     TableColumn,
-    declared_rows,
     table_columns,
 )
 from recorder.store.records import CRC_BYTES
@@ -512,9 +512,6 @@ def open_tail(stream: os.PathLike[str]) -> ImageTail:
     return ImageTail(layout)
 
 
-# Columns of a table.
-
-
 class Table(Mapping[str, Array]):
     """Columns of a group, read on access; those used last are kept in memory."""
 
@@ -530,13 +527,21 @@ class Table(Mapping[str, Array]):
             raise KeyError(f"{self._path}: no column {name!r}; known: {', '.join(self._names)}")
         values = self._read.get(name)
         if values is None:
-            column = TableColumn.load(self._path / name, self._files)
-            values = self._read.put(name, column.read())
+            values = self._read.put(name, self._load(name))
         return values
 
     def declared_rows(self, name: str) -> int:
         """Return the number of rows that a column declares, whether or not its chunks are there."""
-        return declared_rows(self._path / name, self._files)
+        path = self._path / name
+        shape = read_document(self._files, path / "zarr.json").get("shape")
+        if not isinstance(shape, list) or not shape or type(shape[0]) is not int:
+            raise SessionError(
+                f"{self._files.name(path)}: found shape {shape!r:.200}, expected a list"
+            )
+        return shape[0]
+
+    def _load(self, name: str) -> Array:
+        return TableColumn.load(self._path / name, self._files).read()
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names."""

@@ -128,9 +128,6 @@ def _copy_records(layout: ColumnLayout, number: int, chunks: int) -> None:
     sync_directory(partial.parent)
 
 
-# One column while it is written: sealed shards, then one open shard.
-
-
 class ColumnLog:
     """Writer that appends encoded chunks to a column and seals its shards.
 

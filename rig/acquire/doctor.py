@@ -114,9 +114,6 @@ def _explained(finding: Finding, load: Load, *, mock: bool) -> Finding:
     return replace(finding, text=text, cures=cures)
 
 
-# The plan
-
-
 def plan(bench: Bench, sessions: Path) -> Finding:
     """Draw the bench's plan in a folder, and examine it against the bench's limits."""
     walked = bench.dry_run(bench.trajectory)
@@ -139,9 +136,6 @@ def plan(bench: Bench, sessions: Path) -> Finding:
         cure = "another indenter, a plan less deep, or a gauge and sensor of a higher rating"
         return Finding("plan", state, f"{text}; {left_out_text(bench, out)}", (cure,))
     return Finding("plan", "well", text)
-
-
-# The computer
 
 
 def disk(sessions: Path, clock: Clock) -> Finding:
@@ -206,11 +200,7 @@ def time_of_day() -> Finding:
     return Finding("clock", "well", now)
 
 
-# Devices
-
-
 def _arm(bench: Bench, clock: Clock) -> Finding:
-    """Return the finding of the arm: its software, mode, safety status and speed slider."""
     host, timeout = bench.arm.host, bench.preflight.timeout
     link = RtdeLink(host, 10.0, clock)
     try:
@@ -372,7 +362,6 @@ def _at(config: Any) -> str:
 
 
 def _model_and_firmware(description: dict[str, Any]) -> str:
-    """Return model and firmware, if the device tells them."""
     parts = (
         str(description[key]) for key in ("model", "firmware", "version") if key in description
     )

@@ -70,9 +70,6 @@ class Place:
     port: int
 
 
-# Network
-
-
 def network_devices(bench: Bench) -> list[Place]:
     """Return the devices that are reached by TCP, the arm first."""
     devices = [Place("arm", "arm.host", bench.arm.host, dashboard.PORT)]
@@ -136,9 +133,6 @@ def _network_cures(place: Place, own: str) -> tuple[str, ...]:
             f"{network}.100 with mask 255.255.255.0"
         )
     return (*cures, f"a firewall that lets port {place.port} pass")
-
-
-# Arm
 
 
 def arm(host: str, timeout: float) -> Iterator[Finding]:
@@ -222,9 +216,6 @@ def tool(bench: Bench, clock: Clock, length: float) -> Iterator[Finding]:
     )
 
 
-# Gauge
-
-
 def read_for(bench: Bench, name: str, clock: Clock, seconds: float) -> list[Any]:
     """Return the values of a stream's samples for a time [s], those that have settled."""
     driver = bench.row(name).driver(clock)
@@ -291,9 +282,6 @@ def weight(row: BenchStream, change: np.ndarray, mass: float) -> Finding:
     if wrong:
         return Finding(name, "FAULT", f"{text}: {', '.join(wrong)}", tuple(cures))
     return Finding(name, "well", f"{text}: {100 * (ratio - 1):+.1f} %")
-
-
-# Axes
 
 
 def direction(row: BenchStream, before: Sequence[Any], after: Sequence[Any]) -> np.ndarray:
@@ -372,9 +360,6 @@ def touch(bench: Bench, before: Sequence[Any], after: Sequence[Any]) -> Finding:
     )
 
 
-# Camera
-
-
 def camera(row: BenchStream, picture: Any, dev: Path = Path("/dev")) -> Iterator[Finding]:
     """Yield findings of a camera's name, exposure and focus, from one picture at rest."""
     name = stable_name(str(row.config.address), dev)
@@ -424,9 +409,6 @@ def stable_name(address: str, dev: Path = Path("/dev")) -> str | None:
     node = dev / (f"video{address}" if address.isdigit() else Path(address).name)
     links = sorted([*dev.glob("v4l/by-id/*"), *dev.glob("serial/by-id/*")])
     return next((str(link) for link in links if link.resolve() == node.resolve()), "")
-
-
-# Contact
 
 
 def contact(bench: Bench, pose: Sequence[float] | np.ndarray) -> Finding:

@@ -34,6 +34,8 @@ from rig.cli.options import (
 from rig.cli.recording import Recording, collect
 from rig.core.errors import ConfigError
 
+_say = functools.partial(print, flush=True)
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
@@ -209,10 +211,6 @@ def _go_on(options: argparse.Namespace) -> str:
         yes=options.yes,
         keep_going=options.keep_going,
     )
-
-
-def _say(line: str) -> None:
-    print(line, flush=True)
 
 
 def _swap(item: Item) -> None:

@@ -244,9 +244,6 @@ def logged_to(session: Path) -> Iterator[None]:
             path.unlink(missing_ok=True)
 
 
-# Calibration options of the commands that record.
-
-
 def calibration_options(parser: argparse._ActionsContainer) -> None:
     """Add --calibrations."""
     about = "folder of the results of home and calibrate-latency"

@@ -124,10 +124,6 @@ class Recording:
         """Return the calibration of a session that measures one: only the bench's acceptance."""
         return Calibration(acceptance=store.acceptance_of(self.calibrations, self.bench))
 
-    def next(self, name: str, **others: object) -> str:
-        """Return a command to continue with on this bench, with further options."""
-        return next_command(name, **self.chosen, **others)
-
     def resume(self, session: Path) -> str:
         """Return the command that continues a stopped session."""
         return next_command("collect", resume=session, bench=self.chosen.get("bench"))
@@ -231,7 +227,7 @@ def collect(
                 require_terminal()
             print("\n".join(guards.lines(bench, depth, request.left_out)), flush=True)
             if not bench.mock:
-                hint = recording.next("home", indenter=bench.indenter)
+                hint = next_command("home", **recording.chosen, indenter=bench.indenter)
                 no_gauge.check_home(bench, calibration, hint)
             session.parent.mkdir(parents=True, exist_ok=True)
             stack.enter_context(logged_to(session))

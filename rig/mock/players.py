@@ -154,7 +154,6 @@ def replay_bench(
 
 
 def _device(session: Session, name: str, host: str, speed: float) -> Any:
-    """Return the settings of the driver that reads a replayed stream."""
     stream = session.streams[name]
     silence = _PATIENCE + _longest_gap(session, name, speed)
     kind = stream.traits.kind

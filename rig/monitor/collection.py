@@ -23,7 +23,6 @@ import numpy as np
 from recorder.command_line.options import next_command
 from recorder.errors import SessionError
 from recorder.session import Session
-from recorder.spec import OUTCOMES
 from recorder.store import ImageTail, open_tail
 from rig.acquire.collector import CollectRequest
 from rig.acquire.control import Control
@@ -35,7 +34,7 @@ from rig.core.geometry import invert, transform
 from rig.core.guard import AXES
 from rig.core.shared_memory import AwaitedRecord
 from rig.monitor.access import AccessPolicy
-from rig.monitor.lab import ADDRESS, LETTERS, Folders, number
+from rig.monitor.lab import ADDRESS, FORCE_LIMITED, LETTERS, Folders, number
 from rig.monitor.page_process import PageProcess
 from rig.monitor.quality import LiveQuality, QualityRow
 from rig.monitor.server import SAMPLE_RATE_HZ, Backlog, LiveView
@@ -379,7 +378,6 @@ class CollectionView(LiveView):
 logger = logging.getLogger(__name__)
 
 _WHO = "page"
-_LIMITED = OUTCOMES.index("force_limited")
 
 
 class _LogLines(logging.Handler):
@@ -443,7 +441,7 @@ class CollectionPage(PageProcess):
         self._control, self._progress = control, progress
         if first:
             segments = Session(session).segments
-            limited = segments["target"][segments["outcome"] == _LIMITED]
+            limited = segments["target"][segments["outcome"] == FORCE_LIMITED]
             for target in range(first):
                 self._outcomes[target] = LETTERS["limited" if target in limited else "done"]
         self.say("collecting")

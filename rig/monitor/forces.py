@@ -152,9 +152,6 @@ def _frame(sample: dict[str, Any]) -> Any:
     return decode_jpeg(value, _SHAPE) if isinstance(value, bytes) else value
 
 
-# Table of all forces.
-
-
 @contextlib.contextmanager
 def _recording(
     out: Path | None, predictor: LivePredictor

@@ -21,7 +21,7 @@ from PIL import Image
 from recorder.catalogue import Catalogue, Query, Row
 from recorder.command_line.options import next_command
 from recorder.errors import SessionError
-from recorder.session import Session, thumbnails
+from recorder.session import Session, resting, thumbnails
 from recorder.spec import OUTCOMES, PHASES
 from rig.acquire.calibration.store import FOLDER, SETUP, report_path
 from rig.acquire.campaign import Campaign, load_campaign, marked, progress_of, write_marks
@@ -42,7 +42,7 @@ LETTERS = {"open": ".", "done": "d", "limited": "l"}
 # Sessions kept open, and the time after which the folder is looked at again [s].
 _OPEN, _FRESH = 2, 1.0
 _THUMBNAILS = 400
-_FORCE_LIMITED = OUTCOMES.index("force_limited")
+FORCE_LIMITED = OUTCOMES.index("force_limited")
 Stamp = tuple[int, int, int]
 _CHOICES = ("sensor", "indenter", "status")
 
@@ -200,10 +200,7 @@ class Finished:
             },
         }
         if "taxels" in frames:
-            rest = session.reference["taxels"]
-            finite = np.flatnonzero(np.isfinite(rest).all(axis=(1, 2)))
-            zero = rest[finite[0]] if finite.size else frames["taxels"][0]
-            change = np.nan_to_num(frames["taxels"][k] - zero)
+            change = np.nan_to_num(frames["taxels"][k] - resting(session, "taxels"))
             values["taxels"] = np.round(change).astype(int).tolist()
         return values
 
@@ -261,7 +258,7 @@ def _points(session: Session, plan: Plan | None) -> dict[int, list[float]]:
 def _outcomes(session: Session, plan: Plan | None) -> str:
     """Return one of LETTERS for each target."""
     count, segments = len(session.targets.get("point", ())), session.segments
-    limited = set(segments["target"][segments["outcome"] == _FORCE_LIMITED].tolist())
+    limited = set(segments["target"][segments["outcome"] == FORCE_LIMITED].tolist())
     pressed = {int(target) for target in np.unique(segments["target"])}
     done = pressed if plan is None else finished_targets(plan, segments, count)
     return "".join(
@@ -368,7 +365,11 @@ class Lab:
         """Return what is constant about a session, with the targets marked in it."""
         about = self.finished.about(path)
         marks = marked(self._folders.again, self._folders.sessions / path)
-        return {**about, "again": list(marks), "queue": self._command(self._folders.again)}
+        return {
+            **about,
+            "again": list(marks),
+            "queue": next_command("campaign", file=self._folders.again),
+        }
 
     def mark(self, path: str, targets: tuple[int, ...]) -> dict[str, Any]:
         """Mark targets of a session, from 1 on, for recording again; none removes the marks."""
@@ -379,7 +380,7 @@ class Lab:
         if targets and targets[-1] > count:
             raise ConfigError(f"again: found {targets[-1]}; allowed: 1 to {count}")
         write_marks(self._folders.again, self._folders.sessions / path, session, targets)
-        return {"again": list(targets), "queue": self._command(self._folders.again)}
+        return {"again": list(targets), "queue": next_command("campaign", file=self._folders.again)}
 
     def plan_picture(self, sensor: str) -> bytes:
         """Return the drawing of a bench's plan as PNG."""
@@ -398,13 +399,7 @@ class Lab:
         """Return the acceptance report of a bench as HTML."""
         if sensor not in [setup["sensor"] for setup in self._setups()]:
             raise KeyError(f"no report of {sensor!r}")
-        return self._report(sensor).read_bytes()
-
-    def _report(self, sensor: str) -> Path:
-        return report_path(self._folders.calibrations, sensor)
-
-    def _command(self, file: Path) -> str:
-        return next_command("campaign", file=file)
+        return report_path(self._folders.calibrations, sensor).read_bytes()
 
     def _campaigns(self) -> list[dict[str, Any]]:
         files = sorted(self._folders.campaigns.glob("*.yaml"))[:_MOST]
@@ -413,7 +408,10 @@ class Lab:
 
     def _campaign(self, path: Path, *, packaged: bool) -> dict[str, Any]:
         file = Path("campaigns") / path.name if packaged else path
-        campaign: dict[str, Any] = {"name": path.stem, "command": self._command(file)}
+        campaign: dict[str, Any] = {
+            "name": path.stem,
+            "command": next_command("campaign", file=file),
+        }
         try:
             loaded = self._loaded(path, path.stat().st_mtime_ns, self._folders.benches)
             progress = progress_of(loaded)
@@ -502,7 +500,8 @@ class Lab:
                     "steps": steps,
                     "running": running,
                     "result": (accepted or {}).get("result", ""),
-                    "report": accepted is not None and self._report(sensor).is_file(),
+                    "report": accepted is not None
+                    and report_path(self._folders.calibrations, sensor).is_file(),
                 }
             )
         return setups

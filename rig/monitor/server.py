@@ -224,8 +224,6 @@ class PageServer:
             self._view.sample()
             await asyncio.sleep(1 / SAMPLE_RATE_HZ)
 
-    # Requests.
-
     async def _on_request(self, connection: ServerConnection, request: Request) -> Response | None:
         response = self._site.answer(request, full=len(self._clients) >= self._most)
         if response is not None and response.status_code in (403, 503):
@@ -250,8 +248,6 @@ class PageServer:
         policy = _REPORT_POLICY if kind.startswith("text/html") else ""
         headers = headers_of(kind, len(body), "", policy)
         return Response(http.HTTPStatus.OK, "OK", headers, body)
-
-    # Open pages.
 
     async def _serve(self, client: ServerConnection) -> None:
         self._clients.add(client)

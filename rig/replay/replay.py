@@ -309,8 +309,6 @@ def _digests(title: str, session: Session, names: tuple[str, ...]) -> dict[str, 
 
 # One run: emulators and drivers, from the first connection to the last row.
 
-# Conditions for the end of a run, and for giving up on it.
-
 # Longest time for a stream's last rows to arrive after its emulator has sent them all [s].
 MISSING_TIMEOUT = 5.0
 # Longest time without progress while rows are left, added to the longest recorded gap [s].

@@ -1,12 +1,13 @@
 """JPEG files as some cameras send them."""
 
-from rig.devices.camera.jpeg import SOI, frame_stamp, segments
+from recorder.store import jpeg_segments
+from rig.devices.camera.jpeg import SOI, frame_stamp
 
 
 def stripped(jpeg: bytes) -> bytes:
     """Return the JPEG without its Huffman tables, as some UVC cameras send it."""
     bare = jpeg
-    for marker, at, content in reversed(list(segments(jpeg))):
+    for marker, at, content in reversed(list(jpeg_segments(jpeg))):
         if marker == 0xC4:
             bare = bare[:at] + bare[at + 4 + len(content) :]
     return bare

@@ -333,7 +333,6 @@ class Arm:
             self._alarm = None
 
     def _join(self) -> None:
-        """Wait for a child that was asked to end."""
         if self._process is not None:
             self._process.join(_EXIT)
 

@@ -1,18 +1,18 @@
 """JPEG files as sent by a camera: their segments, without decoding a pixel.
 
-A file is SOI (FFD8), segments (FF, marker, uint16 length that counts itself, content), the last of
-them SOS followed by the coded picture, and EOI (FFD9). Some UVC cameras omit the Huffman tables
-(DHT), as Motion JPEG allows; decoders of still images then fail.
+Some UVC cameras omit the Huffman tables (DHT), as Motion JPEG allows; decoders of still images then
+fail.
 """
 
 import functools
 import random
 import re
 import struct
-from collections.abc import Iterator
 
 import numpy as np
 import simplejpeg
+
+from recorder.store import jpeg_segments
 
 SOI = b"\xff\xd8"
 EOI = b"\xff\xd9"
@@ -20,36 +20,13 @@ _DHT, _SOS = 0xC4, 0xDA
 _SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _BASELINE = frozenset({0xC0, 0xC1})
 _UNCODED = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
-_STANDALONE = frozenset(range(0xD0, 0xD9)) | {0x01}
 
 _STAMP = re.compile(rb"tactile-rig emulator seq=(\d+) state_t_ns=(-?\d+)")
 
 
-def segments(jpeg: bytes) -> Iterator[tuple[int, int, bytes]]:
-    """Yield marker, offset and content of each segment up to and including SOS."""
-    if jpeg[:2] != SOI:
-        raise ValueError("no SOI")
-    at = 2
-    while at + 4 <= len(jpeg):
-        if jpeg[at] != 0xFF:
-            raise ValueError(f"no marker at byte {at}")
-        marker = jpeg[at + 1]
-        if marker == 0xFF or marker in _STANDALONE:
-            at += 1 if marker == 0xFF else 2
-            continue
-        length = int.from_bytes(jpeg[at + 2 : at + 4], "big")
-        if length < 2 or at + 2 + length > len(jpeg):
-            raise ValueError(f"segment {marker:02X} at byte {at} is cut off")
-        yield marker, at, jpeg[at + 4 : at + 2 + length]
-        if marker == _SOS:
-            return
-        at += 2 + length
-    raise ValueError("no SOS")
-
-
 def jpeg_size(jpeg: bytes) -> tuple[int, int]:
     """Return width and height [px]."""
-    for marker, _, content in segments(jpeg):
+    for marker, _, content in jpeg_segments(jpeg):
         if marker in _SOF and len(content) >= 5:
             height, width = struct.unpack(">HH", content[1:5])
             return width, height
@@ -68,7 +45,7 @@ def is_whole(jpeg: bytes) -> bool:
         if not jpeg.endswith(EOI):
             return False
     try:
-        parts = list(segments(jpeg))
+        parts = list(jpeg_segments(jpeg))
         jpeg_size(jpeg)
     except ValueError:
         return False
@@ -81,7 +58,7 @@ def is_whole(jpeg: bytes) -> bool:
 
 def with_huffman_tables(jpeg: bytes) -> bytes:
     """Return the file with the standard tables added if it has none, else unchanged."""
-    for marker, at, _ in segments(jpeg):
+    for marker, at, _ in jpeg_segments(jpeg):
         if marker == _DHT:
             return jpeg
         if marker == _SOS:
@@ -96,7 +73,7 @@ def huffman_segment() -> bytes:
     Every file that libjpeg encodes without optimisation has them.
     """
     sample = simplejpeg.encode_jpeg(np.zeros((16, 16, 3), np.uint8))
-    tables = b"".join(content for marker, _, content in segments(sample) if marker == _DHT)
+    tables = b"".join(content for marker, _, content in jpeg_segments(sample) if marker == _DHT)
     return b"\xff\xc4" + struct.pack(">H", len(tables) + 2) + tables
 
 

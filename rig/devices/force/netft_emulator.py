@@ -221,8 +221,6 @@ class NetFtEmulator(Emulator):
 
 
 class _PageHandler(DeviceHandler):
-    """Handler of requests for netftapi2.xml and comm.cgi."""
-
     timeout = 5.0
 
     def get(self, url: SplitResult) -> None:

@@ -407,7 +407,6 @@ class NidaqEmulator(Emulator):
 
 
 def _corrupt(volts: Array, rng: random.Random) -> Array:
-    """Return random voltages of the same shape."""
     low, high = -10.0, 10.0
     return np.array([[rng.uniform(low, high) for _ in row] for row in volts])
 

@@ -15,16 +15,6 @@ from rig.mock.world.picture import MarkerPicture
 from rig.mock.world.sensors import markers_of, pad_of
 from rig.mock.world.simulated import Between, SimulatedSurface, SimulatedWorld
 
-__all__ = [
-    "LadderWorld",
-    "SimulatedWorld",
-    "World",
-    "WorldConfig",
-    "WorldSpec",
-    "build_world",
-    "load_view",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class WorldConfig:
