@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -119,7 +119,7 @@ class Predictions:
 
     def only(self, chosen: NDArray[np.bool_]) -> Predictions:
         """Return the chosen frames (n,)."""
-        return _with(self, {name: getattr(self, name)[chosen] for name in _PER_FRAME})
+        return replace(self, **{name: getattr(self, name)[chosen] for name in _PER_FRAME})
 
     def write(self, path: Path) -> None:
         """Write the predictions as an .npz."""
@@ -225,14 +225,8 @@ def _joined(parts: list[Predictions]) -> Predictions:
     if count.max(initial=1) > 1:
         twice = frames[count > 1][0]
         raise LearningError(f"{name}: found row {twice} twice; allowed: each frame once")
-    return _with(
-        first, {name: np.concatenate([getattr(one, name) for one in parts]) for name in _PER_FRAME}
-    )
-
-
-def _with(one: Predictions, changed: dict[str, Any]) -> Predictions:
-    unchanged = {f.name: getattr(one, f.name) for f in fields(one) if f.name not in changed}
-    return Predictions(**unchanged, **changed)
+    joined = {name: np.concatenate([getattr(one, name) for one in parts]) for name in _PER_FRAME}
+    return replace(first, **joined)
 
 
 # The table of force errors: a row for each pair of sensors, training method, and role.
