@@ -16,6 +16,7 @@ from typing import Any, Literal, Self, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from learning.config import read_json
 from learning.errors import LearningError
 from learning.training.run import generator
 from recorder.archive import MarkerArchive
@@ -227,12 +228,7 @@ def make_split(
 
 def read_split(path: Path) -> Split:
     """Read a split from a file."""
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise LearningError(f"{path}: no such file") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise LearningError(f"{path}: not JSON: {error}") from None
+    document = read_json(path)
     is_mapping = isinstance(document, dict)
     written = (document.get("format"), document.get("format_version")) if is_mapping else None
     if written != (_FORMAT, _VERSION):
