@@ -8,6 +8,7 @@ stay together. Whole sensors can be held out as well.
 
 import hashlib
 import json
+import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,6 +32,8 @@ SPLIT = "split.json"
 NO_ROLE = ""
 
 _FORMAT, _VERSION = "tactile-rig split", 1
+# A value that is a list, which may hold others.
+_LIST = re.compile(r'(?<=": )\[(?:[^][]|\[[^][]*\])*\]')
 
 
 @dataclass(frozen=True, slots=True)
@@ -304,14 +307,4 @@ def _require_among(what: str, names: Sequence[str], choices: Iterable[str]) -> N
 
 def _joined(text: str) -> str:
     """Put lists of numbers, and lists of those, of indented JSON on one line."""
-    lines: list[str] = []
-    depth = 0
-    for line in text.splitlines():
-        inside, stripped = depth > 0, line.strip()
-        depth += stripped.count("[") - stripped.count("]")
-        if inside:
-            space = " " if lines[-1].endswith(",") else ""
-            lines[-1] += space + stripped
-        else:
-            lines.append(line)
-    return "\n".join(lines)
+    return _LIST.sub(lambda found: json.dumps(json.loads(found[0])), text)
