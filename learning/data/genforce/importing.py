@@ -37,6 +37,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from learning.config import READER
 from learning.data.genforce.format import (
     SUFFIXES,
     Array,
@@ -77,7 +78,6 @@ from recorder.archive import (
 )
 from recorder.convert import DEPTH_UNKNOWN
 from recorder.markers import pack, smallest_marker, unpack
-from recorder.settings import Reader
 from recorder.spec import PHASES
 from trajectories import PressShear, Target, plan_to_json
 
@@ -216,11 +216,10 @@ class _Folder:
 
 def read_plan(path: Path) -> PressShear:
     """Read the plan of presses in a bench file or a simulated sensor's file, its `trajectory`."""
-    reader = Reader(LearningError)
-    content = reader.read(path)
+    content = READER.read(path)
     if "trajectory" not in content:
         raise LearningError(f"{path}: missing trajectory; allowed: a press_shear plan")
-    return reader.build(PressShear, content["trajectory"], f"{path}.trajectory")
+    return READER.build(PressShear, content["trajectory"], f"{path}.trajectory")
 
 
 def layout_of(root: Path) -> str:
