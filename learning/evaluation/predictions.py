@@ -225,7 +225,9 @@ def _joined(parts: list[Predictions]) -> Predictions:
     if count.max(initial=1) > 1:
         twice = frames[count > 1][0]
         raise LearningError(f"{name}: found row {twice} twice; allowed: each frame once")
-    joined = {name: np.concatenate([getattr(one, name) for one in parts]) for name in _PER_FRAME}
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(one, name) for one in parts]) for name in _PER_FRAME
+    }
     return replace(first, **joined)
 
 
@@ -267,12 +269,9 @@ class ForceRow:
 
     def value(self, measure: str) -> float:
         """Return one of `MEASURES`."""
-        values = dict(zip(MAES, self.errors.mae, strict=True))
-        values |= dict(zip(RELATIVES, self.errors.relative, strict=True))
-        values |= dict(zip(R2S, self.errors.r2, strict=True))
-        values["r2_mean"] = self.errors.r2_mean
-        values["mae_shear_n"] = self.errors.shear
-        return values[measure]
+        errors = self.errors
+        values = *errors.mae, *errors.relative, *errors.r2, errors.r2_mean, errors.shear
+        return dict(zip(MEASURES, values, strict=True))[measure]
 
 
 MAES = tuple(f"mae_{name}_n" for name in MEASURED)
@@ -362,10 +361,7 @@ def csv_text(lines: Sequence[dict[str, Any]]) -> str:
 def force_line(row: ForceRow) -> dict[str, Any]:
     """Return a row as a line of the CSV."""
     return {
-        "source": row.source,
-        "target": row.target,
-        "method": row.method,
-        "translator": row.translator,
+        **{name: getattr(row, name) for name in ("source", "target", "method", "translator")},
         "role": row.role,
         "frames": row.errors.frames,
         **{name: row.value(name) for name in MEASURES},
