@@ -527,10 +527,7 @@ class Experiment:
             if model.name != FLOW:
                 translator = for_pair(model.translator, *views)
                 return translate_presses(packed, look, translator, progress=progress)
-            scale = (
-                views[1].mm_per_column / views[0].mm_per_column,
-                views[1].mm_per_row / views[0].mm_per_row,
-            )
+            scale = views[0].pixels_of(views[1])
             if scale not in fields:
                 fields[scale] = flow_fields(
                     packed, *views, processes=self.processes, progress=progress
