@@ -318,9 +318,8 @@ def require_alone(scores: Sequence[TranslationScores]) -> None:
     """Reject duplicate scores."""
     previous = set()
     for one in scores:
-        pair = (one.source, one.target, one.translator)
-        keys = [(*pair, row.role, row.method, row.extractor) for row in one.distances]
-        for key in keys:
+        for row in one.distances:
+            key = one.source, one.target, one.translator, row.role, row.method, row.extractor
             if key in previous:
                 raise LearningError(
                     f"translation scores: found {', '.join(key)} twice; allowed: once"

@@ -94,8 +94,7 @@ class Recording:
 
     def reference_images(self) -> list[int]:
         """Return the image of each reference in use."""
-        images: list[int] = self.session.reference["image"][self.references].tolist()
-        return images
+        return [int(image) for image in self.session.reference["image"][self.references]]
 
     def layout(self) -> NDArray[np.int64]:
         """Return point, depth level and direction of each target (t, 3), which pair sensors."""
