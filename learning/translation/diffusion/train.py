@@ -51,6 +51,7 @@ from learning.translation.diffusion.network import (
     MarkerToMarker,
     build,
     load_vae_adapter,
+    native,
     vae_adapter_of,
 )
 from learning.translation.diffusion.train_vae import MarkerVaeSettings, Optimiser, marker_vae_of
@@ -269,7 +270,7 @@ class TrainingStep:
 
     def _true(self, batch: TranslationBatch) -> torch.Tensor:
         network: MarkerToMarker = self.runs_on.unwrap_model(self.generator.network)
-        return network.native(batch.target)
+        return native(batch.target, network.pixel_range)
 
     def _reconstruction(
         self, generated: torch.Tensor, batch: TranslationBatch
