@@ -74,11 +74,6 @@ class ForceStream:
         force, self._state = self._step(inputs)
         return np.asarray(force[0], np.float64)
 
-    @property
-    def state(self) -> NDArray[np.float32]:
-        """State (1, c, h, w) after the last frame."""
-        return self._state
-
     def _checked(self, frame: Array, name: str) -> Array:
         kind = np.dtype(np.uint8 if self.inputs.is_image else np.float32)
         if frame.shape != self.inputs.frame[1:] or frame.dtype != kind:
