@@ -604,7 +604,7 @@ def _raw_sensor(folder: _Folder, sensor: Path, targets: int) -> PublishedSensor:
         raise LearningError(f"preset {preset_name}: is for {settings.KIND}; {name} has {kind}")
     count = None
     if isinstance(settings, TaxelPreset):
-        read = _discs(settings)
+        read: ReadMask = functools.partial(_discs, settings)
         still = pack(taxel_masks(np.zeros((1, 16, 3)), np.zeros((16, 3)), settings))
     else:
         read = _segmented(settings, pictures)
@@ -689,9 +689,6 @@ def _segmented(settings: CameraPreset, references: Collection[Path]) -> ReadMask
     return read
 
 
-def _discs(settings: TaxelPreset) -> ReadMask:
-    def read(path: Path) -> Packed:
-        (packed,) = pack(taxel_masks(read_counts(path)[None], np.zeros((16, 3)), settings))
-        return np.asarray(packed, np.uint8)
-
-    return read
+def _discs(settings: TaxelPreset, path: Path) -> Packed:
+    (packed,) = pack(taxel_masks(read_counts(path)[None], np.zeros((16, 3)), settings))
+    return np.asarray(packed, np.uint8)
