@@ -96,6 +96,16 @@ def settings_to_dict(settings: Any) -> dict[str, Any]:
     return plain | {each.name: _plain(getattr(settings, each.name)) for each in fields}
 
 
+def read_json(path: Path) -> Any:
+    """Return the content of a JSON file."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise LearningError(f"{path}: no such file") from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise LearningError(f"{path}: not JSON: {error}") from None
+
+
 def require_same(path: Path, content: Mapping[str, Any]) -> None:
     """Write the sources of a folder's results to a JSON file, or check that it is the same."""
     plain: dict[str, Any] = json.loads(json.dumps(content))

@@ -129,9 +129,7 @@ def import_folder(folder: Path, options: argparse.Namespace) -> int:
         plans={name: read_plan(path) for name, path in options.plan},
         unseen=options.unseen,
         turns_deg=dict(options.turn),
-        compensation={}
-        if options.compensation is None
-        else read_compensation(options.compensation),
+        compensation=read_compensation(options.compensation) if options.compensation else {},
     )
     with ItemProgress("frames", sys.stderr) as progress:
         frames = import_published(folder, options.out, choices=choices, progress=progress)

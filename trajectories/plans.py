@@ -263,8 +263,12 @@ class StraightPresses:
         return down_and_up(target)
 
 
-def _press(index: int, depth: float, origin: Point, bottom: Point, point: int = 1) -> Target:
-    return Target(index, point, depth, -1, origin, bottom, bottom)
+def _press(
+    index: int, depth: float, clearance: float, point: int = 1, surface: Point = (0.0, 0.0, 0.0)
+) -> Target:
+    x, y, top = surface
+    bottom = (x, y, top - depth)
+    return Target(index, point, max(depth, 0.0), -1, (x, y, top + clearance), bottom, bottom)
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,10 +301,8 @@ class ForceDepth(StraightPresses):
 
     def targets(self) -> Iterator[Target]:
         """Yield the same press `repeats` times."""
-        origin = (0.0, 0.0, self.clearance)
-        bottom = (0.0, 0.0, -self.depth_max)
         for index in range(self.repeats):
-            yield _press(index, self.depth_max, origin, bottom)
+            yield _press(index, self.depth_max, self.clearance)
 
 
 @dataclass(frozen=True, slots=True)
@@ -337,10 +339,8 @@ class FirstPress(StraightPresses):
 
     def targets(self) -> Iterator[Target]:
         """Yield the presses from the air to the full depth."""
-        origin = (0.0, 0.0, self.clearance)
         for index, depth in enumerate(self.depths):
-            bottom = (0.0, 0.0, -depth)
-            yield _press(index, max(depth, 0.0), origin, bottom)
+            yield _press(index, depth, self.clearance)
 
 
 @dataclass(frozen=True, slots=True)
@@ -382,7 +382,7 @@ class Touch(StraightPresses):
 
     def position(self, point: int) -> tuple[float, float]:
         """Return the position of point `point` (1 to 5) [m]."""
-        sign_x, sign_y = ((0, 0), (1, 1), (-1, 1), (-1, -1), (1, -1))[point - 1]
+        sign_x, sign_y = ((0, 0), *_SIGNS["corners"])[point - 1]
         return (sign_x * self.step_x, sign_y * self.step_y)
 
     def targets(self) -> Iterator[Target]:
@@ -390,9 +390,8 @@ class Touch(StraightPresses):
         for index in range(len(self)):
             point = self.points[index // self.repeats]
             x, y = self.position(point)
-            surface = dome_height(self.dome_radius, x, y)
-            bottom = (x, y, surface - self.travel)
-            yield _press(index, self.travel, (x, y, surface + self.clearance), bottom, point)
+            surface = (x, y, dome_height(self.dome_radius, x, y))
+            yield _press(index, self.travel, self.clearance, point, surface)
 
 
 @dataclass(frozen=True, slots=True)
@@ -438,8 +437,7 @@ class Taps(StraightPresses):
         """Yield one target per tap, each from its own height."""
         heights, depths = self._drawn()
         for index, depth in enumerate(depths):
-            bottom = (0.0, 0.0, -depth)
-            yield _press(index, depth, (0.0, 0.0, heights[index]), bottom)
+            yield _press(index, depth, heights[index])
 
     def moves(self, target: Target) -> tuple[Move, ...]:
         """Return the move down, and the move up to the start of the next tap."""

@@ -34,7 +34,7 @@ from learning.compensation.search import (
     scored_choice,
 )
 from learning.compensation.simulated import simulated_r2
-from learning.config import READER
+from learning.config import READER, read_json
 from learning.data.genforce.format import Compensation, read_compensation
 from learning.errors import LearningError
 from recorder import MarkerArchive
@@ -138,12 +138,7 @@ class StoredCompensation:
 
 def read_stored(path: Path) -> StoredCompensation:
     """Read a compensation file."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise LearningError(f"{path}: no such file") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise LearningError(f"{path}: not JSON: {error}") from None
+    content = read_json(path)
     format_name = content.get("format") if isinstance(content, dict) else None
     if format_name != FORMAT:
         raise LearningError(f"{path}.format: found {format_name!r}; allowed: {FORMAT!r}")

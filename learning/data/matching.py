@@ -172,11 +172,8 @@ def read_presses(chosen: SensorSelection) -> PlacedPresses:
         location: table["depth"][part].max() for (location,), part in press_rows(table).items()
     }
     count = len(locations)
-    position, depth, angle = (
-        np.full((count, 2), np.nan),
-        np.full(count, np.nan),
-        np.full(count, np.nan),
-    )
+    position = np.full((count, 2), np.nan)
+    depth, angle = np.full((2, count), np.nan)
     flaw = np.full(count, "", "<U64")
     for index, location in enumerate(locations.tolist()):
         phases = ends.get(location, {})

@@ -332,14 +332,15 @@ class ForceRange:
         never = unknown.all(axis=0)
         low[never] = high[never] = np.nan
         wider = np.maximum(LEAST - (high - low), 0) / 2 + margin * (high - low)
-        return cls(_force(low - wider), _force(high + wider))
+        return cls(force_of(low - wider), force_of(high + wider))
 
 
 # Fixed range of the authors' code.
 AUTHORS = ForceRange((-5.0, -5.0, -20.0), (5.0, 5.0, 5.0))
 
 
-def _force(values: NDArray[np.float64]) -> Force:
+def force_of(values: NDArray[np.float64]) -> Force:
+    """Return Fx, Fy, Fz (3,) [N] as numbers."""
     x, y, z = (float(value) for value in values)
     return x, y, z
 

@@ -8,6 +8,7 @@ stay together. Whole sensors can be held out as well.
 
 import hashlib
 import json
+import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import Any, Literal, Self, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from learning.config import read_json
 from learning.errors import LearningError
 from learning.training.run import generator
 from recorder.archive import MarkerArchive
@@ -30,6 +32,8 @@ SPLIT = "split.json"
 NO_ROLE = ""
 
 _FORMAT, _VERSION = "tactile-rig split", 1
+# A value that is a list, which may hold others.
+_LIST = re.compile(r'(?<=": )\[(?:[^][]|\[[^][]*\])*\]')
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,12 +231,7 @@ def make_split(
 
 def read_split(path: Path) -> Split:
     """Read a split from a file."""
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise LearningError(f"{path}: no such file") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise LearningError(f"{path}: not JSON: {error}") from None
+    document = read_json(path)
     is_mapping = isinstance(document, dict)
     written = (document.get("format"), document.get("format_version")) if is_mapping else None
     if written != (_FORMAT, _VERSION):
@@ -308,14 +307,4 @@ def _require_among(what: str, names: Sequence[str], choices: Iterable[str]) -> N
 
 def _joined(text: str) -> str:
     """Put lists of numbers, and lists of those, of indented JSON on one line."""
-    lines: list[str] = []
-    depth = 0
-    for line in text.splitlines():
-        inside, stripped = depth > 0, line.strip()
-        depth += stripped.count("[") - stripped.count("]")
-        if inside:
-            space = " " if lines[-1].endswith(",") else ""
-            lines[-1] += space + stripped
-        else:
-            lines.append(line)
-    return "\n".join(lines)
+    return _LIST.sub(lambda found: json.dumps(json.loads(found[0])), text)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -119,7 +119,7 @@ class Predictions:
 
     def only(self, chosen: NDArray[np.bool_]) -> Predictions:
         """Return the chosen frames (n,)."""
-        return _with(self, {name: getattr(self, name)[chosen] for name in _PER_FRAME})
+        return replace(self, **{name: getattr(self, name)[chosen] for name in _PER_FRAME})
 
     def write(self, path: Path) -> None:
         """Write the predictions as an .npz."""
@@ -225,14 +225,10 @@ def _joined(parts: list[Predictions]) -> Predictions:
     if count.max(initial=1) > 1:
         twice = frames[count > 1][0]
         raise LearningError(f"{name}: found row {twice} twice; allowed: each frame once")
-    return _with(
-        first, {name: np.concatenate([getattr(one, name) for one in parts]) for name in _PER_FRAME}
-    )
-
-
-def _with(one: Predictions, changed: dict[str, Any]) -> Predictions:
-    unchanged = {f.name: getattr(one, f.name) for f in fields(one) if f.name not in changed}
-    return Predictions(**unchanged, **changed)
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(one, name) for one in parts]) for name in _PER_FRAME
+    }
+    return replace(first, **joined)
 
 
 # The table of force errors: a row for each pair of sensors, training method, and role.
@@ -273,12 +269,9 @@ class ForceRow:
 
     def value(self, measure: str) -> float:
         """Return one of `MEASURES`."""
-        values = dict(zip(MAES, self.errors.mae, strict=True))
-        values |= dict(zip(RELATIVES, self.errors.relative, strict=True))
-        values |= dict(zip(R2S, self.errors.r2, strict=True))
-        values["r2_mean"] = self.errors.r2_mean
-        values["mae_shear_n"] = self.errors.shear
-        return values[measure]
+        errors = self.errors
+        values = *errors.mae, *errors.relative, *errors.r2, errors.r2_mean, errors.shear
+        return dict(zip(MEASURES, values, strict=True))[measure]
 
 
 MAES = tuple(f"mae_{name}_n" for name in MEASURED)
@@ -368,10 +361,7 @@ def csv_text(lines: Sequence[dict[str, Any]]) -> str:
 def force_line(row: ForceRow) -> dict[str, Any]:
     """Return a row as a line of the CSV."""
     return {
-        "source": row.source,
-        "target": row.target,
-        "method": row.method,
-        "translator": row.translator,
+        **{name: getattr(row, name) for name in ("source", "target", "method", "translator")},
         "role": row.role,
         "frames": row.errors.frames,
         **{name: row.value(name) for name in MEASURES},

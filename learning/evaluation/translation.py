@@ -318,9 +318,8 @@ def require_alone(scores: Sequence[TranslationScores]) -> None:
     """Reject duplicate scores."""
     previous = set()
     for one in scores:
-        pair = (one.source, one.target, one.translator)
-        keys = [(*pair, row.role, row.method, row.extractor) for row in one.distances]
-        for key in keys:
+        for row in one.distances:
+            key = one.source, one.target, one.translator, row.role, row.method, row.extractor
             if key in previous:
                 raise LearningError(
                     f"translation scores: found {', '.join(key)} twice; allowed: once"
@@ -366,35 +365,31 @@ class RealFrames:
 
 def paired_score(packed: Packed, real: RealFrames, role: str, method: str) -> PairedScore:
     """Score frames (n, 38400) against the real ones of the same presses and phases."""
-    dice, iou, ssim, area, apart, wrong, missed = [], [], [], [], [], [], []
-    sensor = real.sensor
+    scores, apart, missed = [], [], [np.empty((0, 2))]
     for first in range(0, len(packed), _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
         evaluated, true = unpack(packed[part]), unpack(real.packed[part])
         covered = overlap(evaluated, true)
-        dice.append(covered.dice)
-        iou.append(covered.iou)
-        ssim.append(structural_similarity(shrink(packed[part]), shrink(real.packed[part])))
-        area.append(covered.area_ratio_error)
-        offsets, mismatched = marker_errors(evaluated, true, real.smallest_px)
+        ssim = structural_similarity(shrink(packed[part]), shrink(real.packed[part]))
+        offsets, wrong = marker_errors(evaluated, true, real.smallest_px)
+        scores.append((covered.dice, covered.iou, ssim, covered.area_ratio_error, wrong))
         apart.append(offsets)
-        wrong.append(mismatched)
-        if sensor.fields is not None:
+        if real.sensor.fields is not None:
             missed.append(_endpoint_errors(evaluated, real, part))
-    distance = np.linalg.norm(np.concatenate(apart), axis=1)
-    epe = np.concatenate([np.empty((0, 2)), *missed])
-    areas = np.concatenate(area)
+    dice, iou, ssim, areas, wrong = (np.concatenate(each) for each in zip(*scores, strict=True))
+    offsets, epe = np.concatenate(apart), np.concatenate(missed)
+    distance = np.linalg.norm(offsets, axis=1)
     return PairedScore(
         role=role,
         method=method,
         frames=len(packed),
-        dice=float(np.concatenate(dice).mean()),
-        iou=float(np.concatenate(iou).mean()),
-        ssim=float(np.concatenate(ssim).mean()),
+        dice=float(dice.mean()),
+        iou=float(iou.mean()),
+        ssim=float(ssim.mean()),
         centroid_px=_quantile(distance, 0.5),
         centroid_p95_px=_quantile(distance, 0.95),
-        centroid_mm=_quantile(np.linalg.norm(np.concatenate(apart) * real.mm, axis=1), 0.5),
-        count_mismatch=float(np.concatenate(wrong).mean()),
+        centroid_mm=_quantile(np.linalg.norm(offsets * real.mm, axis=1), 0.5),
+        count_mismatch=float(wrong.mean()),
         area_ratio_error=_mean(areas[np.isfinite(areas)]),
         epe_px=_mean(np.linalg.norm(epe, axis=1)),
         epe_mm=_mean(np.linalg.norm(epe * real.mm, axis=1)),

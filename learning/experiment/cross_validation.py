@@ -95,7 +95,6 @@ def ridge_forces(training: Presses, test: Presses) -> Floats:
     forces = np.full((len(test_features), _AXES), np.nan)
     for axis in range(_AXES):
         if np.isfinite(labels[:, axis]).any():
-            forces[:, axis] = fit_ridge(training_features, labels[:, axis], groups).predict(
-                test_features
-            )
+            ridge = fit_ridge(training_features, labels[:, axis], groups)
+            forces[:, axis] = ridge.predict(test_features)
     return forces

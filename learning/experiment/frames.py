@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import permutations
 
 import numpy as np
 import torch
@@ -33,12 +34,7 @@ def pairs_of(archive: MarkerArchive, names: Sequence[str] | None) -> tuple[Pair,
                 f"{archive.name}: found no label of any sensor; allowed: one labelled source or "
                 "more"
             )
-        return tuple(
-            Pair(one, other)
-            for one in archive
-            for other in archive
-            if one in labelled and one != other
-        )
+        return tuple(Pair(*pair) for pair in permutations(archive, 2) if pair[0] in labelled)
     pairs = []
     for text in names:
         source, _, target = text.partition(":")

@@ -70,7 +70,3 @@ class ExperimentSettings:
         require(self, "validation", "new_press", least=0, below=1)
         require(self, "train_presses", "test_presses", "models_per_batch", least=1)
         require(self, "scored_presses", least=0)
-
-    def overrides(self, *changed: str) -> tuple[str, ...]:
-        """Return the overrides of a training's preset, preceded by the seed of the experiment."""
-        return (f"seed={self.seed}", *changed)

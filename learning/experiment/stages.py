@@ -86,7 +86,8 @@ def force_settings(
     experiment: ExperimentSettings, archive: MarkerArchive, device: str, *, tuning: bool = False
 ) -> ForceModelSettings:
     """Return the settings of force models; with `tuning`, of fine-tuning on translated frames."""
-    changed = experiment.overrides(
+    changed = (
+        f"seed={experiment.seed}",
         *experiment.force.set,
         *(experiment.fine_tuning if tuning else ()),
         f"launch.device={torch.device(device).type}",
@@ -122,7 +123,7 @@ def translator_training(
 
         train_in, presets, kind = m2m.train_in, m2m.PRESETS, m2m.TranslatorSettings
     choice = getattr(experiment, name)
-    overrides = experiment.overrides(*choice.set, *changed)
+    overrides = (f"seed={experiment.seed}", *choice.set, *changed)
     return train_in, read_settings(kind, presets, choice.preset, overrides)
 
 
@@ -527,10 +528,7 @@ class Experiment:
             if model.name != FLOW:
                 translator = for_pair(model.translator, *views)
                 return translate_presses(packed, look, translator, progress=progress)
-            scale = (
-                views[1].mm_per_column / views[0].mm_per_column,
-                views[1].mm_per_row / views[0].mm_per_row,
-            )
+            scale = views[0].pixels_of(views[1])
             if scale not in fields:
                 fields[scale] = flow_fields(
                     packed, *views, processes=self.processes, progress=progress

@@ -19,13 +19,7 @@ from learning.force.train import PRESETS, ForceModelSettings
 from learning.training.checkpoint import load_weights, read_tensors, weights_hash
 from learning.training.run import RunFolder
 
-# Our names of their parts; a block's convolutions and norms are renamed by `_BLOCK`.
-_PARTS = {
-    "base_network.conv1.": "encoder.0.",
-    "base_network.conv2.": "encoder.9.",
-    "convgru.layers.0.convq.": "memory.candidate.",
-    "reg_layer.0.": "head.",
-}
+# Our names of their blocks, of the convolutions and norms in one, and of all parts.
 _BLOCKS = {
     **{
         f"base_network.layer{stage + 1}.{block}.": f"encoder.{3 + 2 * stage + block}."
@@ -42,6 +36,13 @@ _BLOCK = {
     "norm2.": "branch.4.",
     "downsample.0.": "skip.0.",
     "downsample.1.": "skip.1.",
+}
+_PARTS = {
+    "base_network.conv1.": "encoder.0.",
+    "base_network.conv2.": "encoder.9.",
+    "convgru.layers.0.convq.": "memory.candidate.",
+    "reg_layer.0.": "head.",
+    **{block + part: ours + own for block, ours in _BLOCKS.items() for part, own in _BLOCK.items()},
 }
 _GATES = tuple(f"convgru.layers.0.{name}." for name in ("convz", "convr"))
 
@@ -109,9 +110,4 @@ def _name(name: str) -> str:
     for theirs, ours in _PARTS.items():
         if name.startswith(theirs):
             return ours + name.removeprefix(theirs)
-    for theirs, ours in _BLOCKS.items():
-        rest = name.removeprefix(theirs)
-        for own, part in _BLOCK.items():
-            if rest != name and rest.startswith(own):
-                return ours + part + rest.removeprefix(own)
     return name

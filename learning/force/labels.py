@@ -37,13 +37,10 @@ class Relabelling:
         rows = presses.rows.numpy()
         own = presses.wrench.double().cpu().numpy()
         forces = self.forces(rows, own, presses.depth.cpu().numpy(), presses.phase.cpu().numpy())
-        relabelled = replace(
-            presses, wrench=torch.from_numpy(forces).float().to(presses.wrench.device)
-        )
-        if self.spread is None:
-            return relabelled
-        spread = torch.from_numpy(self.spread[rows]).float()
-        return replace(relabelled, spread=spread.to(presses.wrench.device))
+        device, spread = presses.wrench.device, presses.spread
+        if self.spread is not None:
+            spread = torch.from_numpy(self.spread[rows]).float().to(device)
+        return replace(presses, wrench=torch.from_numpy(forces).float().to(device), spread=spread)
 
 
 def by_twins(labels: Simulated) -> Relabelling:
@@ -119,13 +116,10 @@ def label_source(
         labels = simulated_labels(archive[sensors[0]], other[target])
         return LabelSource(by_twins(labels), (labels.made_from,), SIMULATED)
     file, _, choice = name.partition(":")
-    stored = read_stored(Path(file)).pair(source, target, choice or CHOICE_OF_METHOD["compensated"])
+    wanted = choice or CHOICE_OF_METHOD["compensated"]
+    stored = read_stored(Path(file)).pair(source, target, wanted)
     return LabelSource(
         compensated(stored),
         data=(weights_hash(Path(file)), f"{source}-to-{target}", choice),
-        method=next(
-            each
-            for each, of_method in CHOICE_OF_METHOD.items()
-            if of_method == (choice or of_method)
-        ),
+        method=next(method for method, of in CHOICE_OF_METHOD.items() if of == wanted),
     )

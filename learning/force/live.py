@@ -278,8 +278,7 @@ class LivePredictor:
             if not contact:
                 network.reset()
                 network_input.restart()
-            x, y, z = network.step(network_input.of(mask)).tolist()
-            forces.append((x, y, z))
+            forces.append(_triple(network.step(network_input.of(mask))))
         motion = self._contact.motion_px
         interval, outside = None, False
         if self.intervals is not None:

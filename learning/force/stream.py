@@ -66,26 +66,13 @@ class ForceStream:
         Raises:
             LearningError: The frame has another shape or type, or the reference is missing.
         """
-        force, self._state = self._step(self.step_inputs(frame))
-        return np.asarray(force[0], np.float64)
-
-    def step_inputs(self, frame: Array) -> dict[str, Array]:
-        """Return the inputs of the next step by name, without running it.
-
-        Raises:
-            LearningError: The frame has another shape or type, or the reference is missing.
-        """
         inputs = {FRAME: self._checked(frame, FRAME), STATE: self._state}
         if self.inputs.needs_reference:
             if self._reference is None:
                 raise LearningError("reference: missing; pass the image without contact to reset()")
             inputs[REFERENCE] = self._reference
-        return inputs
-
-    @property
-    def state(self) -> NDArray[np.float32]:
-        """State (1, c, h, w) after the last frame."""
-        return self._state
+        force, self._state = self._step(inputs)
+        return np.asarray(force[0], np.float64)
 
     def _checked(self, frame: Array, name: str) -> Array:
         kind = np.dtype(np.uint8 if self.inputs.is_image else np.float32)

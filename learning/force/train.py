@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from learning.config import read_settings, require
-from learning.data.presses import AUTHORS, ForceRange, Presses
+from learning.data.presses import AUTHORS, ForceRange, Presses, force_of
 from learning.errors import LearningError
 from learning.force.model import (
     AXES,
@@ -318,10 +318,8 @@ def force_range(labels: Sequence[Tensor], settings: ForceModelSettings) -> Force
     forces = torch.cat([each.cpu() for each in labels])
     if settings.force_range == "authors":
         measured = forces.isfinite().any(dim=0).numpy()
-        low, high = (
-            np.where(measured, ends, np.nan).tolist() for ends in (AUTHORS.low, AUTHORS.high)
-        )
-        return ForceRange((low[0], low[1], low[2]), (high[0], high[1], high[2]))
+        ends = (np.where(measured, end, np.nan) for end in (AUTHORS.low, AUTHORS.high))
+        return ForceRange(*map(force_of, ends))
     if settings.sequences.flips:
         forces = torch.cat([forces, forces * forces.new_tensor([-1.0, -1.0, 1.0])])
     if settings.sequences.superpose:

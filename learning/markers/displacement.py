@@ -390,7 +390,9 @@ class FieldReader:
         the same motion in mm at the same place of the contact frame, which is at the centre of both
         images. Beyond the source's view, the values at its border continue.
         """
-        scale = _scale(source, target)
+        scale = np.ones(2)
+        if source is not None and target is not None:
+            scale = np.array(source.pixels_of(target))
         operator = self._operator(scale)
         moved = np.stack([match.moved for match in self.matches(frames, ordered=ordered)])
         field = np.tensordot(operator, moved, axes=(1, 1)).transpose(1, 0, 2) / scale
@@ -425,15 +427,6 @@ class FieldReader:
         across = (np.arange(MAP_SIDE) + 0.5) / MAP_SIDE
         columns, rows = np.meshgrid(across * WIDTH - 0.5, across * HEIGHT - 0.5)
         return self._matcher.spline.at(np.stack([columns, rows], axis=-1).reshape(-1, 2))
-
-
-def _scale(source: SensorView | None, target: SensorView | None) -> Floats:
-    """Return the size of the target's pixels in the source's, along columns and rows (2,)."""
-    if source is None or target is None:
-        return np.ones(2)
-    return np.array(
-        [target.mm_per_column / source.mm_per_column, target.mm_per_row / source.mm_per_row]
-    )
 
 
 # Fields of many presses, computed by several processes to feed a GPU.

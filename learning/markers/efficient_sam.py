@@ -71,7 +71,7 @@ class EfficientSam:
         boxes = np.stack([centres - box_px, centres + box_px], axis=1)
         corners = np.clip(boxes, 0, [WIDTH - 1, HEIGHT - 1]).astype(np.float32)
         images = np.ascontiguousarray(view.transpose(2, 0, 1)[None]).astype(np.float32) / 255.0
-        (embeddings,) = self._run(self._encoder, {ENCODER_INPUTS[0]: images})[:1]
+        embeddings = self._encoder.run(None, {ENCODER_INPUTS[0]: images})[0]
         for first in range(0, len(corners), self._prompts):
             some = corners[first : first + self._prompts]
             union |= self._answered(embeddings, some)
@@ -85,8 +85,8 @@ class EfficientSam:
             # A model with a fixed number of prompts gets the last one repeatedly.
             last = np.repeat(boxes[-1:], self._prompts - count, axis=0)
             boxes = np.concatenate([boxes, last])
-        answers = self._run(
-            self._decoder,
+        answers = self._decoder.run(
+            None,
             {
                 "image_embeddings": embeddings,
                 "batched_point_coords": boxes[None],
@@ -94,7 +94,7 @@ class EfficientSam:
                 "orig_im_size": np.array([HEIGHT, WIDTH], np.int64),
             },
         )
-        logits, iou = answers[0], answers[1]
+        logits, iou = answers[:2]
         if (
             logits.ndim != 5
             or logits.shape[:2] != (1, len(boxes))
@@ -111,10 +111,6 @@ class EfficientSam:
         best = iou[0].argmax(axis=1)
         chosen = logits[0, np.arange(len(boxes)), best] >= 0
         return np.asarray(chosen[:count].any(axis=0))
-
-    def _run(self, model: Any, inputs: dict[str, NDArray[Any]]) -> list[NDArray[Any]]:
-        answers: list[NDArray[Any]] = model.run(None, inputs)
-        return answers
 
 
 def _loaded(path: Path, inputs: tuple[str, ...]) -> Any:

@@ -86,11 +86,6 @@ class Pattern:
         uneven = 1.0 + 4.0 * (self.spread.area + self.spread.pitch)
         return self.contrast / (self.noise + 0.02) / uneven
 
-    @property
-    def is_regular(self) -> bool:
-        """True if there are enough markers, alike and evenly spaced."""
-        return self.spread.is_regular
-
     def __str__(self) -> str:
         kind = "bright" if self.detector.bright else "dark"
         width = 2 * (self.area_px[1] / np.pi) ** 0.5
@@ -121,7 +116,7 @@ def fit_preset(
         for channel in CHANNELS
         if (one := _best(view, channel, bright)) is not None
     ]
-    regular = [one for one in patterns if one.is_regular]
+    regular = [one for one in patterns if one.spread.is_regular]
     if not regular:
         nearest = max(patterns, key=lambda one: one.score, default=None)
         raise LearningError(
@@ -197,7 +192,7 @@ def _best(view: Picture, channel: Channel, bright: bool) -> Pattern | None:
     patterns = [
         one for size in SIZES_PX if (one := _pattern(view, size, channel, bright)) is not None
     ]
-    regular = [one for one in patterns if one.is_regular]
+    regular = [one for one in patterns if one.spread.is_regular]
     if not regular:
         return max(patterns, key=lambda one: one.score, default=None)
     most = max(one.score for one in regular)

@@ -121,12 +121,10 @@ class ReferenceMarkers:
         `detector` looks for hidden markers.
         """
         self._segmenter, self._detector = segmenter, detector
-        patches = _Patches(segmenter.mask_of_view(reference))
-        self._centre, self._area = patches.centre, patches.area
+        self._patches = _Patches(segmenter.mask_of_view(reference))
         self._contrast = self._of(reference)
-        self._tracker = Tracker(self._centre)
+        self._tracker = Tracker(self._patches.centre)
         self._pitch = self._tracker.gate_px / GATE
-        self._patches = patches
 
     def mask_of_view(self, view: Picture) -> Mask:
         """Return the mask (480, 640) of a view, with the markers that were found again."""
@@ -148,7 +146,7 @@ class ReferenceMarkers:
             shift = self._recovered_shift(marker, contrast, expected[marker])
             if shift is None:
                 continue
-            pixels = self._pixels(marker, shift)
+            pixels = self._patches.shifted(marker, shift)
             covering = patches.labels[pixels]
             if owns[covering].mean() > _COVERED:
                 continue
@@ -171,8 +169,8 @@ class ReferenceMarkers:
         self._tracker.restart()
         assigned = self._tracker.step(patches.centre).assigned
         visible = assigned >= 0
-        moved = np.where(visible[:, None], patches.centre[assigned] - self._centre, 0.0)
-        ratio = patches.area[assigned] / self._area
+        moved = np.where(visible[:, None], patches.centre[assigned] - self._patches.centre, 0.0)
+        ratio = patches.area[assigned] / self._patches.area
         visible &= (ratio > _AREA_FROM) & (ratio < _AREA_TO)
         for _ in range(2):
             expected = self._tracker.by_neighbours(moved, visible)
@@ -185,7 +183,7 @@ class ReferenceMarkers:
     ) -> tuple[int, int] | None:
         """Return the shift (columns, rows) of a marker that is as likely as `LIKENESS`."""
         half, search = round(_HALF * self._pitch), round(_SEARCH * self._pitch)
-        column, row = np.round(self._centre[marker]).astype(int)
+        column, row = np.round(self._patches.centre[marker]).astype(int)
         right, down = np.round(expected).astype(int)
         own = _square(self._contrast, column, row, half)
         near = _square(contrast, column + right, row + down, half + search)
@@ -198,16 +196,6 @@ class ReferenceMarkers:
         if likeness[peak] < LIKENESS:
             return None
         return int(right + peak[1] - search), int(down + peak[0] - search)
-
-    def _pixels(
-        self, marker: int, shift: tuple[int, int]
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return rows and columns of a marker's patch, shifted."""
-        row, column = self._patches.pixels(marker)
-        row, column = row + shift[1], column + shift[0]
-        height, width = self._patches.labels.shape
-        inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-        return row[inside], column[inside]
 
 
 def with_reference(segmenter: Segmenter, reference: Picture) -> Segmenter | ReferenceMarkers:
@@ -232,12 +220,17 @@ class _Patches:
         self.area = area[self.number]
         self._box = stats[self.number, : cv2.CC_STAT_AREA]
 
-    def pixels(self, index: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return rows and columns of a patch."""
+    def shifted(
+        self, index: int, shift: tuple[int, int]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return rows and columns of a patch, shifted by columns and rows, within the mask."""
         left, top, width, height = self._box[index].tolist()
         part = self.labels[top : top + height, left : left + width] == self.number[index]
         row, column = np.nonzero(part)
-        return row + top, column + left
+        row, column = row + top + shift[1], column + left + shift[0]
+        height, width = self.labels.shape
+        inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+        return row[inside], column[inside]
 
 
 def _square(

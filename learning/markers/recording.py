@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -94,8 +94,7 @@ class Recording:
 
     def reference_images(self) -> list[int]:
         """Return the image of each reference in use."""
-        images: list[int] = self.session.reference["image"][self.references].tolist()
-        return images
+        return [int(image) for image in self.session.reference["image"][self.references]]
 
     def layout(self) -> NDArray[np.int64]:
         """Return point, depth level and direction of each target (t, 3), which pair sensors."""
@@ -254,10 +253,9 @@ def _once(session: Session) -> tuple[Integers, Integers, list[str]]:
     unpressed = len(session.targets["point"]) - len(best)
     if unpressed:
         omitted.append(f"{unpressed} targets have no frames")
+    none = np.zeros(0, np.int64)
     numbers = [np.arange(len(press)) for press in presses]
-    if not presses:
-        return np.zeros(0, np.int64), np.zeros(0, np.int64), omitted
-    return np.concatenate(presses), np.concatenate(numbers), omitted
+    return np.concatenate([none, *presses]), np.concatenate([none, *numbers]), omitted
 
 
 def _references(
@@ -278,7 +276,8 @@ def _references(
         raise LearningError(f"{name}: has no reference: no {what} without contact")
     frames, point = session.frames, session.targets["point"]
     chosen = np.empty(len(rows), np.int64)
-    for begin, end in _presses(frames["target"][rows]):
+    change = np.flatnonzero(np.diff(frames["target"][rows])) + 1
+    for begin, end in pairwise([0, *change.tolist(), len(rows)]):
         row = rows[begin]
         of_run = usable[reference["run"][usable] == frames["run"][row]]
         earlier = of_run[reference["t_ns"][of_run] <= frames["t_ns"][row]]
@@ -287,12 +286,6 @@ def _references(
         chosen[begin:end] = own[-1] if own.size else earlier[-1] if earlier.size else first
     used, which = np.unique(chosen, return_inverse=True)
     return used.astype(np.int64), which.reshape(-1).astype(np.int64)
-
-
-def _presses(target: NDArray[np.integer]) -> Iterator[tuple[int, int]]:
-    change = np.flatnonzero(np.diff(target) != 0) + 1
-    ends = [0, *change.tolist(), len(target)]
-    yield from pairwise(ends)
 
 
 # Grouping of sessions into one archive; incompatible sessions are rejected by name.
@@ -329,19 +322,16 @@ def read_group(
         begun = Counter[str]()
         for one in some:
             if one.is_imported:
-                placed.append(_numbered(one, begun[one.indenter], free))
+                placed.append(replace(one, first_target=begun[one.indenter], first_location=free))
                 begun[one.indenter] += one.targets
                 free += one.targets
             elif one.located:
-                placed.append(_numbered(one, 0, indenters.index(one.indenter) * targets))
+                first = indenters.index(one.indenter) * targets
+                placed.append(replace(one, first_location=first))
             else:
-                placed.append(_numbered(one, targets, None))
+                placed.append(replace(one, first_target=targets))
         sensors[name] = placed
     return sensors, indenters
-
-
-def _numbered(one: Recording, target: int, location: int | None) -> Recording:
-    return replace(one, first_target=target, first_location=location)
 
 
 def _require_different(recordings: Sequence[Recording]) -> None:

@@ -512,8 +512,7 @@ def read_preset(path: Path) -> Preset:
     Raises:
         LearningError: The file is missing, is not YAML, or has an invalid key or value.
     """
-    settings: Preset = READER.build_one_of(get_args(Preset), READER.read(path), str(path))
-    return settings
+    return built_preset(READER.read(path), str(path))
 
 
 def built_preset(content: Any, where: str) -> Preset:

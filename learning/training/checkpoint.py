@@ -31,6 +31,8 @@ from recorder.store import replace_file
 # Network weights in safetensors files.
 
 _SHOWN = 4
+# Errors of `torch.load` for files that are damaged or hold more than plain values.
+UNREADABLE = (pickle.UnpicklingError, RuntimeError, EOFError, LookupError, ValueError, OSError)
 
 Network = TypeVar("Network", bound=nn.Module)
 
@@ -72,14 +74,7 @@ def read_plain(path: Path) -> Any:
         return read_weights(path)
     try:
         return torch.load(path, map_location="cpu", weights_only=True)
-    except (
-        pickle.UnpicklingError,
-        RuntimeError,
-        EOFError,
-        LookupError,
-        ValueError,
-        OSError,
-    ) as error:
+    except UNREADABLE as error:
         raise LearningError(f"{path}: is no file of weights: {first_line(error)}") from error
 
 

@@ -20,7 +20,6 @@ import hashlib
 import json
 import math
 import os
-import pickle
 import shutil
 import signal
 import sys
@@ -42,6 +41,7 @@ from learning.errors import LearningError
 from learning.training.checkpoint import (
     CONFIG,
     MODEL,
+    UNREADABLE,
     Config,
     code_version,
     load_weights,
@@ -286,7 +286,7 @@ def _read_training(path: Path) -> dict[str, Any]:
         states: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError:
         raise LearningError(f"{path}: no such file") from None
-    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError) as error:
+    except UNREADABLE as error:
         raise LearningError(f"{path}: damaged, or not plain states: {error}") from error
     return states
 

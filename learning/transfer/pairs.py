@@ -47,10 +47,8 @@ def join_pair(
     wrenches = {target.name: _without_labels(target, keep_curve=keep_curve)}
     if source_labels is not None:
         labels = read_labels(source_labels, source.archive, source.sensor)
-        rows = len(source.archive[source.sensor])
-        wrenches[source.name] = np.pad(
-            labels.of_all(rows), ((0, 0), (0, 3)), constant_values=np.nan
-        )
+        forces = labels.of_all(len(source.archived))
+        wrenches[source.name] = np.pad(forces, ((0, 0), (0, 3)), constant_values=np.nan)
     joined = join([source, target], tolerances, unseen, wrenches=wrenches)
     with ItemProgress("frames of both sensors", sys.stderr) as progress:
         joined.write(out, progress)
@@ -59,7 +57,7 @@ def join_pair(
 
 def _without_labels(target: SensorSelection, *, keep_curve: bool) -> Floats:
     """Return the wrenches of a sensor (n, 6), NaN but for force-depth presses if they are kept."""
-    table = target.archive[target.sensor].table
+    table = target.archived.table
     wrench = np.full(table["wrench"].shape, np.nan)
     if keep_curve:
         curve = table["location"] < 0

@@ -15,6 +15,7 @@ from learning.compensation.fit import (
     read_stored,
     write_compensation,
 )
+from learning.compensation.search import depth_range
 from learning.compensation.simulated import SIMULATED, twin_forces
 from learning.config import require_same
 from learning.data.labels import read_labels
@@ -197,10 +198,14 @@ def run_transfer(request: TransferRequest, say: Say = print) -> Card:
 
 def _begin(request: TransferRequest) -> None:
     """Write what the models of a folder are made of, or check that it is the same."""
+    sensors = {"source": request.source, "target": request.target}
+    twins = None
+    if SIMULATED in request.settings.compensation:
+        twins = [twin_forces(each.archived).made_from for each in sensors.values()]
     plain: dict[str, Any] = {
         **{
             name: f"{archive_fingerprint(each.archive)} {each.sensor} as {each.name}"
-            for name, each in (("source", request.source), ("target", request.target))
+            for name, each in sensors.items()
         },
         "source_labels": request.source_labels and weights_hash(request.source_labels),
         "source_model": str(request.source_model and request.source_model.resolve()),
@@ -208,17 +213,9 @@ def _begin(request: TransferRequest) -> None:
         "calibrate_on": request.calibrate_on and sorted(request.calibrate_on),
         "unseen": request.unseen and sorted(request.unseen),
         "tolerances": asdict(request.tolerances),
-        "twins": _twins(request),
+        "twins": twins,
     }
     require_same(request.out / "transfer.json", plain)
-
-
-def _twins(request: TransferRequest) -> list[str] | None:
-    """Return the twins of both sensors; None if labels are not scaled by them."""
-    if SIMULATED not in request.settings.compensation:
-        return None
-    sensors = (each.archive[each.sensor] for each in (request.source, request.target))
-    return [twin_forces(sensor).made_from for sensor in sensors]
 
 
 def _is_same(path: Path, archive: MarkerArchive) -> bool:
@@ -278,11 +275,8 @@ def _require_as_deep(request: TransferRequest, archive: MarkerArchive) -> None:
     """Reject an assumed scale between sensors that are not pressed as deep."""
     if request.ratio is not None:
         return
-    deepest = []
-    for name in (request.source.name, request.target.name):
-        table = archive[name].table
-        rows = table["valid"] & (table["location"] >= 0)
-        deepest.append(float(table["depth"][rows].max()))
+    names = request.source.name, request.target.name
+    deepest = [depth_range(archive[name]) or 0.0 for name in names]
     if abs(deepest[0] - deepest[1]) > _AS_DEEP * max(deepest):
         raise LearningError(
             f"{request.source.name} was pressed {1e3 * deepest[0]:.2f} mm deep, "

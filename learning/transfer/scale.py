@@ -229,11 +229,6 @@ def _scale(
             continue
         index, axis = divmod(int(np.nanargmax(size)), 3)
         row = rows[index]
-        samples.append(
-            ScaleSample(
-                float(labels.forces[row, axis]),
-                float(predicted[row, axis]),
-                float(error[row, axis]),
-            )
-        )
+        known = (float(each[row, axis]) for each in (labels.forces, predicted, error))
+        samples.append(ScaleSample(*known))
     return measured_scale(samples, intervals.scale, source, independent=len(samples))

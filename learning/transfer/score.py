@@ -121,14 +121,9 @@ def score_of(new: NewFrames) -> Score:
     outside = new.intervals.is_outside(predicted, new.shapes)
     return Score(
         errors=force_errors(true, predicted, spread_and_range(true)[0]),
-        covered=_shares(inside, scored),
-        covered_inside=_shares(inside, scored & ~outside[:, None]),
+        covered=axis_means(np.where(scored, inside, np.nan)),
+        covered_inside=axis_means(np.where(scored & ~outside[:, None], inside, np.nan)),
         outside=float(outside.mean()),
         width=axis_means(0.5 * (high - low)),
         indenters=new.indenters,
     )
-
-
-def _shares(inside: NDArray[np.bool_], scored: NDArray[np.bool_]) -> Floats:
-    count = scored.sum(axis=0)
-    return np.where(count > 0, (inside & scored).sum(axis=0) / np.maximum(count, 1), np.nan)

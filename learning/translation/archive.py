@@ -127,6 +127,7 @@ class TranslatedSensor:
         self._translator = for_pair(model.translator, source, target)
         self._device = model.device
         self._last_press: tuple[tuple[int, ...], Rows, NDArray[np.uint8]] | None = None
+        check = self._target.attrs.get("marker_check")
         self.plan = SensorPlan(
             name=pair.name,
             rows=len(self._rows),
@@ -134,7 +135,7 @@ class TranslatedSensor:
             unit_rows=UNIT_ROWS,
             references=self._target.references,
             mm_per_px=self._target.mm_per_px,
-            marker_count=_marker_count(self._target),
+            marker_count=None if check is None else MarkerCount(**check),
             attrs={
                 **{key: self._target.attrs[key] for key in _OF_TARGET if key in self._target.attrs},
                 "source": pair.source,
@@ -242,11 +243,6 @@ def target_references(
         there = location[index] == locations
         references[there] = target["reference"][located[first[index[there]]]]
     return references
-
-
-def _marker_count(sensor: ArchivedSensor) -> MarkerCount | None:
-    stored = sensor.attrs.get("marker_check")
-    return None if stored is None else MarkerCount(**stored)
 
 
 # A contact sheet of a translated archive: source, translation, true target, difference.

@@ -38,6 +38,10 @@ class SensorView:
         stretched = WIDTH / HEIGHT if shows_discs(unpack(sensor.references[0])) else 1.0
         return cls(sensor.name, sensor.mm_per_px, stretched * sensor.mm_per_px)
 
+    def pixels_of(self, other: Self) -> tuple[float, float]:
+        """Return the size of another view's pixels in its own, along columns and rows."""
+        return other.mm_per_column / self.mm_per_column, other.mm_per_row / self.mm_per_row
+
 
 def shows_discs(reference: np.ndarray[Any, np.dtype[np.bool_]]) -> bool:
     """Return True if a reference mask (480, 640) shows a uSkin: discs at their drawn positions."""

@@ -509,8 +509,8 @@ def test_coefficients_come_back_as_they_were(tmp_path: Path) -> None:
     assert read_coefficients(tmp_path / "r6_down.csv") == values
     (both,) = read_compensation(tmp_path).values()
     depth = np.array([0.0, 0.4, 1.2])
-    np.testing.assert_allclose(both.force(depth, loading=True), np.poly1d(values)(depth))
-    np.testing.assert_allclose(both.force(depth, loading=False), -2 * depth**2 + 0.5 * depth)
+    np.testing.assert_allclose(np.polyval(both.down, depth), np.poly1d(values)(depth))
+    np.testing.assert_allclose(np.polyval(both.up, depth), -2 * depth**2 + 0.5 * depth)
     (tmp_path / "line.csv").write_text("1.0,2.0,3.0\n")
     assert read_coefficients(tmp_path / "line.csv") == (1.0, 2.0, 3.0)
     for content, message in (("", "is empty"), ("1,b", "expected numbers"), ("1,nan", "found NaN")):

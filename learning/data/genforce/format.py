@@ -236,10 +236,6 @@ class Compensation:
     up: tuple[float, ...]
     """Unloading."""
 
-    def force(self, depth: Array, *, loading: bool) -> Array:
-        """Return the forces at depths (n,), in the units of the files."""
-        return np.asarray(np.polyval(self.down if loading else self.up, depth), np.float64)
-
 
 def read_coefficients(path: Path) -> tuple[float, ...]:
     """Read the coefficients in a file: one per line, or in one line with commas."""
@@ -248,13 +244,7 @@ def read_coefficients(path: Path) -> tuple[float, ...]:
         raise LearningError(f"{path}: is empty; expected coefficients, highest power first")
     if len(lines) > 1:
         return tuple(read_depths(path).tolist())
-    try:
-        values = tuple(float(value) for value in lines[0].split(","))
-    except ValueError:
-        raise LearningError(f"{path}: found {lines[0].strip()!r}; expected numbers") from None
-    if not np.isfinite(values).all():
-        raise LearningError(f"{path}: found NaN or infinity; expected numbers")
-    return values
+    return tuple(_numbers(lines[0].split(","), path, 1))
 
 
 def read_compensation(folder: Path) -> dict[str, Compensation]:

@@ -37,6 +37,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from learning.config import READER
 from learning.data.genforce.format import (
     SUFFIXES,
     Array,
@@ -77,7 +78,6 @@ from recorder.archive import (
 )
 from recorder.convert import DEPTH_UNKNOWN
 from recorder.markers import pack, smallest_marker, unpack
-from recorder.settings import Reader
 from recorder.spec import PHASES
 from trajectories import PressShear, Target, plan_to_json
 
@@ -216,11 +216,10 @@ class _Folder:
 
 def read_plan(path: Path) -> PressShear:
     """Read the plan of presses in a bench file or a simulated sensor's file, its `trajectory`."""
-    reader = Reader(LearningError)
-    content = reader.read(path)
+    content = READER.read(path)
     if "trajectory" not in content:
         raise LearningError(f"{path}: missing trajectory; allowed: a press_shear plan")
-    return reader.build(PressShear, content["trajectory"], f"{path}.trajectory")
+    return READER.build(PressShear, content["trajectory"], f"{path}.trajectory")
 
 
 def layout_of(root: Path) -> str:
@@ -605,7 +604,7 @@ def _raw_sensor(folder: _Folder, sensor: Path, targets: int) -> PublishedSensor:
         raise LearningError(f"preset {preset_name}: is for {settings.KIND}; {name} has {kind}")
     count = None
     if isinstance(settings, TaxelPreset):
-        read = _discs(settings)
+        read: ReadMask = functools.partial(_discs, settings)
         still = pack(taxel_masks(np.zeros((1, 16, 3)), np.zeros((16, 3)), settings))
     else:
         read = _segmented(settings, pictures)
@@ -690,9 +689,6 @@ def _segmented(settings: CameraPreset, references: Collection[Path]) -> ReadMask
     return read
 
 
-def _discs(settings: TaxelPreset) -> ReadMask:
-    def read(path: Path) -> Packed:
-        (packed,) = pack(taxel_masks(read_counts(path)[None], np.zeros((16, 3)), settings))
-        return np.asarray(packed, np.uint8)
-
-    return read
+def _discs(settings: TaxelPreset, path: Path) -> Packed:
+    (packed,) = pack(taxel_masks(read_counts(path)[None], np.zeros((16, 3)), settings))
+    return np.asarray(packed, np.uint8)

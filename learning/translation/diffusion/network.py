@@ -268,6 +268,12 @@ class LatentPosterior:
         return replace(self, mean=self.mean[index], deviation=self.deviation[index])
 
 
+def native(images: torch.Tensor, pixel_range: Range) -> torch.Tensor:
+    """Convert images (n, 1, h, w) in [0, 1] to network inputs (n, 3, h, w)."""
+    scaled = images if pixel_range == "zero_one" else images * 2 - 1
+    return scaled.expand(-1, 3, -1, -1)
+
+
 class ReferenceEncoder(nn.Module):
     """A frozen copy of an autoencoder's encoder."""
 
@@ -335,17 +341,12 @@ class MarkerToMarker(nn.Module):
 
     def posterior(self, images: torch.Tensor) -> LatentPosterior:
         """Return the posterior of images (n, 1, h, w) in [0, 1] by the trainable encoder."""
-        return posterior(self.vae, self.native(images), self.scaling)
+        return posterior(self.vae, native(images, self.pixel_range), self.scaling)
 
     @torch.no_grad()
     def reference_posterior(self, images: torch.Tensor) -> LatentPosterior:
         """Return the posterior of images without contact (n, 1, h, w) by the frozen encoder."""
-        return posterior(self.reference, self.native(images), self.scaling)
-
-    def native(self, images: torch.Tensor) -> torch.Tensor:
-        """Convert images (n, 1, h, w) in [0, 1] to network inputs (n, 3, h, w)."""
-        scaled = images if self.pixel_range == "zero_one" else images * 2 - 1
-        return scaled.expand(-1, 3, -1, -1)
+        return posterior(self.reference, native(images, self.pixel_range), self.scaling)
 
     def grey(self, native: torch.Tensor) -> torch.Tensor:
         """Convert network images (n, 3, h, w) to grey levels (n, h, w) uint8."""
@@ -443,7 +444,7 @@ class MarkerVae(nn.Module):
         if settings.gradient_checkpointing:
             vae.enable_gradient_checkpointing()
         self.vae = vae
-        self.zero_one = settings.pixel_range == "zero_one"
+        self.pixel_range = settings.pixel_range
         self.decode_scaled = decode_scaled
         if not settings.whole:
             keep_in_state(self, is_adapter)
@@ -457,7 +458,7 @@ class MarkerVae(nn.Module):
         the network's range, and the divergence of each latent from the normal distribution (n,).
         Without standard normal noise of a latent's shape, the posterior's mean is decoded.
         """
-        true = self._native(images)
+        true = native(images, self.pixel_range)
         encoded = posterior(self.vae, true, 1.0)
         latent = encoded.at(noise)
         if self.decode_scaled:
@@ -469,10 +470,7 @@ class MarkerVae(nn.Module):
 
     def latent(self, images: torch.Tensor) -> torch.Tensor:
         """Return the mean latents (n, channels, h/8, w/8) of images (n, 1, h, w) in [0, 1]."""
-        return posterior(self.vae, self._native(images), 1.0).mean
-
-    def _native(self, images: torch.Tensor) -> torch.Tensor:
-        return (images if self.zero_one else images * 2 - 1).expand(-1, 3, -1, -1)
+        return posterior(self.vae, native(images, self.pixel_range), 1.0).mean
 
 
 def load_vae(folder: Path, device: str = "cpu") -> MarkerVae:

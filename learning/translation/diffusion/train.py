@@ -51,6 +51,7 @@ from learning.translation.diffusion.network import (
     MarkerToMarker,
     build,
     load_vae_adapter,
+    native,
     vae_adapter_of,
 )
 from learning.translation.diffusion.train_vae import MarkerVaeSettings, Optimiser, marker_vae_of
@@ -269,7 +270,7 @@ class TrainingStep:
 
     def _true(self, batch: TranslationBatch) -> torch.Tensor:
         network: MarkerToMarker = self.runs_on.unwrap_model(self.generator.network)
-        return network.native(batch.target)
+        return native(batch.target, network.pixel_range)
 
     def _reconstruction(
         self, generated: torch.Tensor, batch: TranslationBatch
@@ -407,7 +408,7 @@ def evaluate(
     square, both, marked = 0.0, 0.0, 0.0
     for first in range(0, count, _AT_ONCE):
         part = pairs.of_pairs(chosen[first : first + _AT_ONCE])
-        target, source = _latents(part, references, settings.source_reference, noise=None)
+        target, source = _latents(part, references, settings.source_reference)
         with runs_on.autocast():
             generated = network(part.unit_images(part.pairs[:, 0]), target, source)
         grey = network.grey(generated).float() / 255
@@ -450,29 +451,25 @@ def _batch(
     chosen = pairs.of_pairs(torch.from_numpy(index).to(device))
     generator = torch.Generator(device)
     generator.manual_seed(int(chance(settings.seed, "noise", number, rank).integers(2**62)))
-    noise = None
+    noise: Sequence[torch.Tensor | None] = (None, None, None)
     if settings.sample_latents:
         shape = (3, settings.batch, *references.mean.shape[1:])
-        noise = torch.randn(shape, generator=generator, device=device)
-    target, source = _latents(
-        chosen, references, settings.source_reference, None if noise is None else noise[1:]
-    )
-    own = None if noise is None else noise[0]
+        noise = torch.randn(shape, generator=generator, device=device).unbind()
+    target, source = _latents(chosen, references, settings.source_reference, noise[1:])
     images = [chosen.unit_images(rows) for rows in chosen.pairs.unbind(dim=1)]
-    return TranslationBatch(images[0], images[1], target, source, own, generator)
+    return TranslationBatch(images[0], images[1], target, source, noise[0], generator)
 
 
 def _latents(
     pairs: PairedFrames,
     references: LatentPosterior,
     source_reference: bool,
-    noise: torch.Tensor | None,
+    noise: Sequence[torch.Tensor | None] = (None, None),
 ) -> tuple[torch.Tensor, torch.Tensor | None]:
     """Return the latents of the targets' references, and of the sources if they are an input."""
-    drawn = (None, None) if noise is None else (noise[0], noise[1])
     own, other = pairs.reference[pairs.pairs].unbind(dim=1)
-    target = references.rows(other).at(drawn[0])
-    return target, references.rows(own).at(drawn[1]) if source_reference else None
+    target = references.rows(other).at(noise[0])
+    return target, references.rows(own).at(noise[1]) if source_reference else None
 
 
 def run(options: argparse.Namespace) -> int:

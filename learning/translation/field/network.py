@@ -106,8 +106,8 @@ class Attention(nn.Module):
 class Contraction(nn.Module):
     """Encodes a field into features at full, half, ... resolution; the coarsest see all of it."""
 
-    def __init__(self, channels: int, widths: Sequence[int], side: int, condition: int = 0) -> None:
-        """Build it for a field of `side`, with channels at the full side, half of it, and so on."""
+    def __init__(self, channels: int, widths: Sequence[int], condition: int = 0) -> None:
+        """Build it for fields of 64 x 64, with channels at that side, half of it, and so on."""
         super().__init__()
         self.begin = nn.Conv2d(channels, widths[0], 3, padding=1)
         self.blocks = nn.ModuleList(ResidualBlock(width, width, condition) for width in widths)
@@ -115,7 +115,7 @@ class Contraction(nn.Module):
             nn.Conv2d(width, wider, 3, stride=2, padding=1)
             for width, wider in itertools.pairwise(widths)
         )
-        deepest = side // 2 ** (len(widths) - 1)
+        deepest = SIDE // 2 ** (len(widths) - 1)
         # Heads of about 32 channels, if they divide the width.
         heads = math.gcd(widths[-1], max(1, widths[-1] // 32))
         self.attention = Attention(widths[-1], heads, deepest)
@@ -133,25 +133,23 @@ class Contraction(nn.Module):
 
 
 class FieldUnet(nn.Module):
-    """U-Net from a field to another of the same side; its untrained output is zero."""
+    """U-Net from a field to a deformation of the same side; its untrained output is zero."""
 
-    def __init__(
-        self, channels: int, out: int, widths: Sequence[int], side: int, condition: int = 0
-    ) -> None:
-        """Build it with `out` output channels; other arguments are those of `Contraction`."""
+    def __init__(self, channels: int, widths: Sequence[int], condition: int = 0) -> None:
+        """Build it with the arguments of `Contraction`; the output is a deformation."""
         super().__init__()
-        self.contraction = Contraction(channels, widths, side, condition)
+        self.contraction = Contraction(channels, widths, condition)
         self.blocks = nn.ModuleList(
             ResidualBlock(width + wider, width, condition)
             for width, wider in zip(widths[-2::-1], widths[:0:-1], strict=True)
         )
         self.norm = nn.GroupNorm(GROUPS, widths[0])
-        self.end = nn.Conv2d(widths[0], out, 3, padding=1)
+        self.end = nn.Conv2d(widths[0], CHANNELS, 3, padding=1)
         for weights in self.end.parameters():
             nn.init.zeros_(weights)
 
     def forward(self, field: Tensor, condition: Tensor | None = None) -> Tensor:
-        """Return the output field (n, out, side, side) of a field (n, channels, side, side)."""
+        """Return the deformation (n, 3, side, side) of a field (n, channels, side, side)."""
         scales = self.contraction(field, condition)
         features = scales.pop()
         for block in self.blocks:
@@ -279,7 +277,7 @@ class FieldNet(nn.Module):
         self.refinements = refinements
         self.look = nn.Conv2d(2, widths[0], 5, stride=2, padding=2)
         self.look_closer = nn.Conv2d(widths[0], widths[1], 3, stride=2, padding=1)
-        self.update = FieldUnet(widths[1] + CHANNELS, CHANNELS, widths[1:], SIDE)
+        self.update = FieldUnet(widths[1] + CHANNELS, widths[1:])
 
     def forward(self, frames: Tensor, distance: Tensor) -> list[Tensor]:
         """Return deformations (n, 3, 64, 64) [px], one per pass; the last is the result.
@@ -348,11 +346,11 @@ class FieldMap(nn.Module):
         self.target = LayoutEncoder(2 * GROUPS, numbers)
         planes = CHANNELS + 2
         narrow = [max(1, width // (2 * GROUPS)) * GROUPS for width in widths]
-        self.placing = Contraction(planes, narrow, SIDE, condition)
+        self.placing = Contraction(planes, narrow, condition)
         self.place = nn.Linear(narrow[-1], 6)
         for weights in self.place.parameters():
             nn.init.zeros_(weights)
-        self.change = FieldUnet(planes + CHANNELS + 2 * _LAYOUT, CHANNELS, widths, SIDE, condition)
+        self.change = FieldUnet(planes + CHANNELS + 2 * _LAYOUT, widths, condition)
 
     def forward(
         self,
