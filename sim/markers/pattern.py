@@ -8,13 +8,12 @@ from typing import Literal, Self, get_args
 import numpy as np
 
 from sim.arrays import Array
-from sim.errors import SceneError, check_range
+from sim.errors import SceneError, check_choice, check_range
 from sim.scene import Body
 
 Shape = Literal["disc", "square", "diamond"]
 Place = tuple[float, float]
 
-SHAPES = get_args(Shape)
 # Tolerance for markers that extend beyond the gel by rounding [m].
 ROUND_OFF = 1e-9
 
@@ -39,8 +38,7 @@ class Pattern:
     """Rotation of each marker about its centre, anticlockwise [rad], up to pi."""
 
     def __post_init__(self) -> None:
-        if self.shape not in SHAPES:
-            raise SceneError(f"pattern.shape: {self.shape!r}; allowed: {', '.join(SHAPES)}")
+        check_choice("pattern.shape", self.shape, get_args(Shape))
         check_range("pattern", "size", self.size, 1e-5, 0.1, unit="m")
         check_range("pattern", "angle", self.angle, -math.pi, math.pi, unit="rad")
         if not self.places:
