@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim.arrays import Array
+from sim.arrays import Array, Progress
 from sim.device import kind_of
 from sim.error_estimate import (
     LAYER_LEAST,
@@ -54,8 +54,6 @@ from sim.tiers import simulate
 
 if TYPE_CHECKING:
     from sim.fem.in_time import TimeSteps
-
-Progress = Callable[[float], None]
 
 # Power of the elements' size with which the error falls: linear elements, smooth pressure.
 ORDER = 2.0

@@ -2,11 +2,12 @@
 
 import functools
 from collections import Counter
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, Literal, get_args
 
+from sim.arrays import Progress
 from sim.errors import PassesThrough, SceneError, SimulationDiverged, check_choice, check_range
 from sim.fem import FOR_EDGES, Fem, Grading, further_settings
 from sim.indenters import NAMES, drawn_name, indenter_of, is_indenter, number_of
@@ -128,7 +129,7 @@ def solve(
     solving: Solving,
     *,
     device: str = "cpu",
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[Solved]:
     """Solve scenes of bodies of equal thickness, and retry failed ones with other settings."""
     if solving.tolerance is not None:

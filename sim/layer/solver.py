@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.arrays import Progress
 from sim.errors import SceneError, SimulationDiverged
 from sim.layer import Layer
 from sim.layer.contact import Clearance, Contact, solve_frictional, solve_frictionless
@@ -400,9 +401,6 @@ class LayerFrames:
             quality=Quality(**self._quality),
             record=record,
         )
-
-
-Progress = Callable[[float], None]
 
 
 def simulate_layer(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from recorder.processes import several
 from recorder.progress import part_of, span_of
-from sim.arrays import Array
+from sim.arrays import Array, Progress
 from sim.errors import SceneError
 from sim.result import ContactTier
 from sim.scene import Friction, Viscosity
@@ -151,7 +151,7 @@ def fitted(
     tier: ContactTier = "layer",
     device: str = "cpu",
     processes: int = 1,
-    progress: Callable[[float], None] = lambda fraction: None,
+    progress: Progress = lambda fraction: None,
 ) -> Fit:
     """Return the twin that explains tracks of one sensor, however badly: see its `misfit`.
 
@@ -197,7 +197,7 @@ def _fit(
     model: TrackModel,
     rougher: TrackModel,
     correct: Callable[[Mapping[str, float]], None] | None,
-    progress: Callable[[float], None],
+    progress: Progress,
 ) -> Fit:
     """Return the fit by a model of tier `layer`, whose error is its distance from a rougher one.
 
@@ -264,7 +264,7 @@ def _fit(
 
 
 def _other_thicknesses(
-    problem: FitProblem, values: Mapping[str, float], progress: Callable[[float], None]
+    problem: FitProblem, values: Mapping[str, float], progress: Progress
 ) -> Iterator[Descended]:
     """Yield descents that begin with a thinner and a thicker skin than that of some values.
 
@@ -428,7 +428,7 @@ def _tilted(problem: FitProblem, level: Descended) -> Mapping[str, float]:
 def _descended(
     problem: FitProblem,
     values: Mapping[str, float],
-    progress: Callable[[float], None],
+    progress: Progress,
     previous: Linear | None = None,
 ) -> Descended:
     """Return where the free quantities explain the tracks best, from `previous` at `values`."""

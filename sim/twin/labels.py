@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from recorder.archive import ArchivedSensor, press_rows
 from recorder.processes import results, several
 from recorder.progress import span_of
-from sim.arrays import Array
+from sim.arrays import Array, Progress
 from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import indenter_of, is_indenter
 from sim.result import Result
@@ -104,7 +104,7 @@ def by_fem_at_once(
     twin: SimulatedSensor,
     presses: Sequence[ArchivedPress],
     device: str,
-    progress: Callable[[float], None],
+    progress: Progress,
 ) -> Iterator[Array | SimulationDiverged]:
     """Yield the twin's forces by tier `fem` in presses (n, 3) [N], which a GPU solves together."""
     fem = replace(fem_of(twin), one_topology=True)
@@ -148,7 +148,7 @@ def simulated_forces(
     height: float | None = None,
     device: str = "cpu",
     processes: int = 1,
-    progress: Callable[[float], None] = lambda fraction: None,
+    progress: Progress = lambda fraction: None,
 ) -> TwinForces:
     """Return the twin's forces at all frames of the presses of an archive.
 
