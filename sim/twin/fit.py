@@ -477,8 +477,7 @@ def _descended(
 
 def _step(names: Sequence[str], values: Mapping[str, float], normal: Array, slope: Array) -> Array:
     """Return the step (p,) to where `normal` step = `slope`; at a bound none leads beyond it."""
-    step = np.zeros(len(names))
-    step[:] = np.linalg.solve(normal, slope)
+    step = np.asarray(np.linalg.solve(normal, slope), float)
     free = np.array(
         [name != "compliance" or values[name] > 0 or step[k] >= 0 for k, name in enumerate(names)]
     )
@@ -615,14 +614,10 @@ def _stacked(
         if slopes:
             rows.append(slopes[index][used])
         scaled = np.concatenate([row / each[used, None, None] for row in rows], axis=-1)
-        white = _whitened(_flat(scaled), _flat(common))
+        white = _whitened(*(each.reshape(-1, each.shape[-1]) for each in (scaled, common)))
         parts.append(white[:, 0])
         columns.append(white[:, 1:])
     return np.concatenate(parts), np.concatenate(columns)
-
-
-def _flat(points: Array) -> Array:
-    return points.reshape(-1, points.shape[-1])
 
 
 def _common(force: Array, target: NDArray[np.int64], rest: NDArray[np.int64], off: Array) -> Array:

@@ -1,7 +1,7 @@
 """Forces of a twin in the presses of an archive."""
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,10 +93,10 @@ def forces(
     )
 
 
-def _from_above(twin: SimulatedSensor, press: ArchivedPress) -> tuple[Array, Array]:
+def _from_above(sensor: SimulatedSensor, press: ArchivedPress) -> tuple[Array, Array]:
     """Return tips (n + 1, 3) [m] and times (n + 1,) [s] of a press, the first in the air."""
     start = np.array([[*press.tip[0, :2], ABOVE]])
-    first = (ABOVE - press.tip[0, 2]) / twin.speed
+    first = (ABOVE - press.tip[0, 2]) / sensor.speed
     return np.concatenate([start, press.tip]), np.r_[0.0, press.time + first]
 
 
@@ -125,9 +125,9 @@ def by_layer(sensors: Sequence[SimulatedSensor], press: ArchivedPress, grid: int
     indenter = indenter_of(press.indenter)
     for number, sensor in enumerate(sensors):
         live = LivePress(sensor, indenter, grid=grid, tolerance=TOLERANCE)
-        before, at = np.array([*press.tip[0, :2], ABOVE]), 0.0
-        first = (ABOVE - press.tip[0, 2]) / sensor.speed
-        for row, (tip, time) in enumerate(zip(press.tip, press.time + first, strict=True)):
+        tips, times = _from_above(sensor, press)
+        before, at = tips[0], times[0]
+        for row, (tip, time) in enumerate(zip(tips[1:], times[1:], strict=True)):
             count = max(1, int(np.ceil(np.linalg.norm(tip - before) / WAY)))
             for part in range(1, count + 1):
                 live.move(before + (tip - before) * part / count, (time - at) / count)
