@@ -62,16 +62,12 @@ class Pattern:
         """Half the extent of a marker along x, and along y [m]."""
         if self.shape == "disc":
             return self.size / 2
-        half, angle = self._square
+        half, angle = self.square
         return half * (abs(math.cos(angle)) + abs(math.sin(angle)))
 
     def moved(self, shift: Place = (0.0, 0.0), angle: float = 0.0, *, name: str = "") -> Self:
         """Return the pattern rotated by `angle` [rad] about the gel's middle, then shifted [m]."""
-        cosine, sine = math.cos(angle), math.sin(angle)
-        centres = tuple(
-            (cosine * x - sine * y + shift[0], sine * x + cosine * y + shift[1])
-            for x, y in self.places
-        )
+        centres = tuple((x + shift[0], y + shift[1]) for x, y in turned(self.places, angle))
         return replace(self, name=name or self.name, places=centres, angle=self.angle + angle)
 
     def marker_distance(self, offset: Array) -> Array:
@@ -81,7 +77,7 @@ class Pattern:
         """
         if self.shape == "disc":
             return np.asarray(np.hypot(offset[..., 0], offset[..., 1]) - self.size / 2)
-        half, angle = self._square
+        half, angle = self.square
         cosine, sine = math.cos(angle), math.sin(angle)
         x, y = offset[..., 0], offset[..., 1]
         beyond_x = np.abs(cosine * x + sine * y) - half
@@ -132,8 +128,8 @@ class Pattern:
             )
 
     @property
-    def _square(self) -> tuple[float, float]:
-        """Half the side of a square or diamond marker, and its angle."""
+    def square(self) -> tuple[float, float]:
+        """Half the side of a square or diamond marker [m], and its angle [rad]."""
         if self.shape == "square":
             return self.size / 2, self.angle
         return self.size / (2 * math.sqrt(2)), self.angle + math.pi / 4
