@@ -117,16 +117,17 @@ def with_beginning(whole: Result, beginning: Result) -> Result:
     The cost of the first frames is the sum of both.
     """
     count = len(beginning.wrench)
-    points = np.stack(np.meshgrid(whole.surface_x, whole.surface_y, indexing="ij"), axis=-1)
     axes = beginning.surface_x, beginning.surface_y
+    x, y = (
+        np.clip(own, axis[0], axis[-1])
+        for own, axis in zip((whole.surface_x, whole.surface_y), axes, strict=True)
+    )
+    points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
 
     def read(values: NDArray[np.float32], own: NDArray[np.float32]) -> NDArray[np.float32]:
         out = own.copy()
-        low = np.array([axes[0][0], axes[1][0]])
-        high = np.array([axes[0][-1], axes[1][-1]])
         for frame in range(count):
-            look = RegularGridInterpolator(axes, values[frame])
-            out[frame] = look(np.clip(points, low, high))
+            out[frame] = RegularGridInterpolator(axes, values[frame])(points)
         return out
 
     def first(name: str) -> Any:

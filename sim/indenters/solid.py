@@ -370,10 +370,8 @@ def _crossings(
         value, gradient = function(point)
         if turn < PASSES - 1:
             like_low = (value > 0) == (at_low > 0)
-            low, high = (
-                np.where(like_low[:, None], point, low),
-                np.where(like_low[:, None], high, point),
-            )
+            low = np.where(like_low[:, None], point, low)
+            high = np.where(like_low[:, None], high, point)
             at_low, at_high = np.where(like_low, value, at_low), np.where(like_low, at_high, value)
     return point, gradient, value
 
