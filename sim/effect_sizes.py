@@ -7,12 +7,12 @@ this scene differ without a reason, as they do where contact at edges depends on
 """
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
+from sim.arrays import Progress
 from sim.device import check_device
 from sim.errors import SimulationDiverged, check_kind
 from sim.fem import Fem
@@ -116,7 +116,7 @@ def _with_error(value: float | None, error: float | None, factor: float, unit: s
 
 
 def effects_table(
-    scene: Scene, *, device: str = "cpu", progress: Callable[[float], None] | None = None
+    scene: Scene, *, device: str = "cpu", progress: Progress | None = None
 ) -> EffectsTable:
     """Return the changes by each effect of a scene: of force, markers and time.
 

@@ -348,9 +348,9 @@ def _weighed(result: Result, fraction: Array) -> Array:
     """Convert fractions of each force to fractions of it or of `WEAK` of the largest one."""
     force = np.linalg.norm(result.force, axis=1)
     least = WEAK * float(force.max(initial=0.0))
-    if least <= 0:
-        return np.where(np.isfinite(fraction), fraction, 0.0)
     weighed = np.where(np.isfinite(fraction), fraction, 0.0)
+    if least <= 0:
+        return weighed
     return np.where(force >= least, weighed, weighed * np.maximum(force, 1e-3 * least) / least)
 
 

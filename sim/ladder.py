@@ -218,7 +218,10 @@ class Ladder:
     @cached_property
     def _stiffness(self) -> Array:
         """Tangential stiffness of each contact along x, along y (n, 2) [N/m]."""
-        return _growing(self.fields.stiffness * self._side_scale)
+        stiffness = self.fields.stiffness * self._side_scale
+        # Each is at least a little above the one before.
+        least = 1.0 + LEAST * np.arange(len(stiffness))[:, None]
+        return np.asarray(np.maximum.accumulate(stiffness / least) * least)
 
     @cached_property
     def spring(self) -> Array:
@@ -696,12 +699,6 @@ def fem_of(key: str, body: Body) -> ByFem:
     middle = np.median(ratios, axis=0)
     error = np.maximum(np.abs(ratios / middle - 1).max(axis=0), ANOTHER)
     return ByFem(depth, middle, error, shear=others[0].shear)
-
-
-def _growing(stiffness: Array) -> Array:
-    """Return the stiffnesses of contacts (n, 2), each at least a little above the one before."""
-    least = 1.0 + LEAST * np.arange(len(stiffness))[:, None]
-    return np.asarray(np.maximum.accumulate(stiffness / least) * least)
 
 
 def _sides(presses: Presses, skin: Body) -> list[tuple[Array, Array]]:

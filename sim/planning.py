@@ -1,9 +1,9 @@
 """Plan of a scene within a tolerance: its tiers and meshes."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import get_args
 
+from sim.arrays import Progress
 from sim.device import check_device
 from sim.errors import check_choice, check_kind, check_range
 from sim.fem import Fem
@@ -11,8 +11,6 @@ from sim.layer import Layer
 from sim.metrics import tolerance_of
 from sim.result import ContactTier, Result
 from sim.scene import Scene
-
-Progress = Callable[[float], None]
 
 # CPU time of a press by `layer`, and of each of its frames [s].
 SECONDS_LAYER, SECONDS_LAYER_FRAME = 0.2, 0.015

@@ -117,16 +117,17 @@ def with_beginning(whole: Result, beginning: Result) -> Result:
     The cost of the first frames is the sum of both.
     """
     count = len(beginning.wrench)
-    points = np.stack(np.meshgrid(whole.surface_x, whole.surface_y, indexing="ij"), axis=-1)
     axes = beginning.surface_x, beginning.surface_y
+    x, y = (
+        np.clip(own, axis[0], axis[-1])
+        for own, axis in zip((whole.surface_x, whole.surface_y), axes, strict=True)
+    )
+    points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
 
     def read(values: NDArray[np.float32], own: NDArray[np.float32]) -> NDArray[np.float32]:
         out = own.copy()
-        low = np.array([axes[0][0], axes[1][0]])
-        high = np.array([axes[0][-1], axes[1][-1]])
         for frame in range(count):
-            look = RegularGridInterpolator(axes, values[frame])
-            out[frame] = look(np.clip(points, low, high))
+            out[frame] = RegularGridInterpolator(axes, values[frame])(points)
         return out
 
     def first(name: str) -> Any:
@@ -243,13 +244,30 @@ def dumped(**state: Any) -> Path | None:
 Value = TypeVar("Value")
 
 
-def to_json(value: Any) -> dict[str, Any]:
-    """Return a frozen dataclass as plain JSON values, SI units; all digits are kept.
+def to_json(value: Any) -> Any:
+    """Return a frozen dataclass, or a value in one, as plain JSON values, SI units.
 
-    Infinity is "inf". A class that has a word for its kind stores it with the fields.
+    All digits are kept, infinity is "inf". A class that has a word for its kind stores it with the
+    fields. A field may be stored only if it does not have its default.
     """
-    plain: dict[str, Any] = _plain(value)
-    return plain
+    if dataclasses.is_dataclass(value):
+        stored = {
+            field.name: to_json(getattr(value, field.name))
+            for field in dataclasses.fields(value)
+            if field.init
+            and (
+                field.metadata.get("stored") != "unless default"
+                or getattr(value, field.name) != field.default
+            )
+        }
+        kind = getattr(value, "KIND", None)
+        return stored if kind is None else {"kind": kind, **stored}
+    if isinstance(value, tuple | list):
+        return [to_json(item) for item in value]
+    if isinstance(value, str | bool | int) or value is None:
+        return value
+    number = float(value)
+    return number if math.isfinite(number) else str(number)
 
 
 def from_json(kind: type[Value], stored: Any, where: str) -> Value:
@@ -258,26 +276,3 @@ def from_json(kind: type[Value], stored: Any, where: str) -> Value:
     from recorder.settings import Reader
 
     return Reader(SceneError, stored=True).build(kind, stored, where)
-
-
-def _plain(value: Any) -> Any:
-    if dataclasses.is_dataclass(value):
-        fields = {
-            field.name: _plain(getattr(value, field.name))
-            for field in dataclasses.fields(value)
-            if field.init and not _unsaid(field, value)
-        }
-        kind = getattr(value, "KIND", None)
-        return fields if kind is None else {"kind": kind, **fields}
-    if isinstance(value, tuple | list):
-        return [_plain(item) for item in value]
-    if isinstance(value, str | bool | int) or value is None:
-        return value
-    number = float(value)
-    return number if math.isfinite(number) else str(number)
-
-
-def _unsaid(field: dataclasses.Field[Any], value: Any) -> bool:
-    """True if the field is omitted, because it has its default and is stored only otherwise."""
-    only_otherwise = field.metadata.get("stored") == "unless default"
-    return bool(only_otherwise and getattr(value, field.name) == field.default)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Future, as_completed
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING
 
 from recorder.progress import part_of
+from sim.arrays import Progress
 from sim.error_estimate import estimated
 from sim.errors import SceneError, SimulationDiverged, check_kind
 from sim.fem import Fem
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     # `layer` is linear and takes milliseconds, `fem` is exact and takes seconds to minutes; `mpm`
     # is the paper's method, costlier and less exact than `fem`, for comparison.
     Tier = Layer | Fem | Mpm
-
-Progress = Callable[[float], None]
 
 
 def simulate(

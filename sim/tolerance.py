@@ -19,13 +19,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim.arrays import Array
+from sim.arrays import Array, Progress
 from sim.device import kind_of
 from sim.error_estimate import (
     LAYER_LEAST,
@@ -54,8 +54,6 @@ from sim.tiers import simulate
 
 if TYPE_CHECKING:
     from sim.fem.in_time import TimeSteps
-
-Progress = Callable[[float], None]
 
 # Power of the elements' size with which the error falls: linear elements, smooth pressure.
 ORDER = 2.0
@@ -455,20 +453,15 @@ def estimate_of(result: Result, wanted: Tolerance) -> float:
 
 def first_mesh(scene: Scene, wanted: Tolerance, device: str) -> Fem:
     """Return the settings of the finer mesh with which the search begins."""
-    most = ELEMENTS_MAX[kind_of(device)]
     fraction = wanted.value if wanted.kind == "fraction" else 0.01
-    fineness = float(np.clip((EXPECTED / fraction) ** 0.5, FIRST_LEAST, FIRST_MOST))
-    return replace(_states(scene, fraction), fineness=fineness, elements_max=most)
-
-
-def _states(scene: Scene, fraction: float) -> Fem:
-    """Return numerics with the tolerance of states for an allowed relative error of the force."""
-    plain = Fem()
-    tolerance = float(np.clip(STATES * fraction, plain.tolerance, STATES_MOST))
-    effects = scene.effects
-    if effects.viscosity is not None or effects.inertia is not None:
-        return replace(plain, tolerance=tolerance)
-    return replace(plain, tolerance=tolerance, path_tolerance=10 * tolerance)
+    tolerance = float(np.clip(STATES * fraction, Fem().tolerance, STATES_MOST))
+    timed = {"viscosity", "inertia"} & set(scene.effects.key)
+    return Fem(
+        fineness=float(np.clip((EXPECTED / fraction) ** 0.5, FIRST_LEAST, FIRST_MOST)),
+        elements_max=ELEMENTS_MAX[kind_of(device)],
+        tolerance=tolerance,
+        path_tolerance=None if timed else 10 * tolerance,
+    )
 
 
 # `layer` in place of meshes, where its estimate was checked.

@@ -6,7 +6,6 @@ import math
 import os
 import sys
 import time
-from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -226,14 +225,7 @@ def stages(result: Result, seconds: float) -> str:
     return f"{seconds:.2f} s ({parts})"
 
 
-def _plain(values: NDArray[Any]) -> list[Any]:
+def _plain(values: NDArray[Any]) -> Any:
     """Return lists of numbers, with None for non-finite ones, which JSON cannot represent."""
-    return [_plain_item(value) for value in values.tolist()]
-
-
-def _plain_item(value: Any) -> Any:
-    if isinstance(value, Iterable):
-        return [_plain_item(one) for one in value]
-    if isinstance(value, float):
-        return value + 0.0 if math.isfinite(value) else None
-    return value
+    # The sum makes -0.0 a 0.0.
+    return np.where(np.isfinite(values), values + 0, np.array(None)).tolist()

@@ -2,7 +2,7 @@
 
 import functools
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from recorder.archive import ArchiveWriter, Frames
 from recorder.markers import PACKED, Lattice, pack
 from recorder.processes import Workers, results
 from recorder.progress import part_of, span_of
-from sim.arrays import Array
+from sim.arrays import Array, Progress
 from sim.dataset.plan import (
     UNSEEN,
     DatasetPlan,
@@ -102,7 +102,7 @@ def make_unit(
     plan: DatasetPlan,
     unit: Unit,
     device: str = "cpu",
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
     workers: Workers | None = None,
 ) -> int:
     """Solve, render and write one unit, and return the number of masks written.
@@ -135,7 +135,7 @@ def _write(
     *,
     device: str,
     workers: Workers | None,
-    progress: Callable[[float], None],
+    progress: Progress,
 ) -> int:
     """Write the rows of one sensor and return the number of masks."""
     recordings = [

@@ -2,12 +2,13 @@
 
 import functools
 from collections import Counter
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, Literal, get_args
 
-from sim.errors import PassesThrough, SceneError, SimulationDiverged, check_range
+from sim.arrays import Progress
+from sim.errors import PassesThrough, SceneError, SimulationDiverged, check_choice, check_range
 from sim.fem import FOR_EDGES, Fem, Grading, further_settings
 from sim.indenters import NAMES, drawn_name, indenter_of, is_indenter, number_of
 from sim.layer import Layer
@@ -83,8 +84,7 @@ class Solving:
     """Accepted error such as "3 %"; each press gets the meshes that it needs (`sim.tolerance`)."""
 
     def __post_init__(self) -> None:
-        if self.tier not in get_args(ContactTier):
-            raise SceneError(f"solving.tier: {self.tier!r}; allowed: {get_args(ContactTier)}")
+        check_choice("solving.tier", self.tier, get_args(ContactTier))
         if self.spacing is not None:
             check_range("solving", "spacing", self.spacing, 0.0, 1.0, unit="m", open_low=True)
             if self.tier == "layer" or self.tolerance is not None:
@@ -129,7 +129,7 @@ def solve(
     solving: Solving,
     *,
     device: str = "cpu",
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[Solved]:
     """Solve scenes of bodies of equal thickness, and retry failed ones with other settings."""
     if solving.tolerance is not None:
@@ -251,8 +251,7 @@ class DatasetPlan:
     """Most presses solved in one call, rounded to whole files; a GPU needs many."""
 
     def __post_init__(self) -> None:
-        if self.work not in get_args(Part):
-            raise SceneError(f"plan.work: {self.work!r}; allowed: {get_args(Part)}")
+        check_choice("plan.work", self.work, get_args(Part))
         _check_names("sensors", [each.name for each in self.sensors])
         _check_names("indenters", list(self.indenters))
         if unknown := [name for name in self.indenters if not is_indenter(name)]:

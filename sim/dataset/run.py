@@ -15,6 +15,7 @@ from recorder.command_line.options import next_command
 from recorder.markers import count_markers, unpack
 from recorder.processes import Workers, environment, several
 from recorder.settings import differing_keys
+from sim.arrays import Progress
 from sim.dataset.generate import LATTICE, Packed, SensorReader, make_unit, sensor_reader
 from sim.dataset.plan import (
     DatasetPlan,
@@ -185,13 +186,12 @@ def most_of_poisson(chance: float, mean: float) -> int:
     return int(np.argmax(above <= chance))
 
 
-# Called with the fraction of the current unit's presses that is solved (units made one at a time).
-Inside = Callable[[float], None]
-# Makes units and yields each when it is done, with the number of masks that it wrote.
-Maker = Callable[[Sequence[Unit], Inside], Iterator[tuple[Unit, int]]]
+# Makes units and yields each when it is done, with the number of masks that it wrote. Progress is
+# that of the current unit's presses, if units are made one at a time.
+Maker = Callable[[Sequence[Unit], Progress], Iterator[tuple[Unit, int]]]
 
 
-def fill(opened: OpenArchive, maker: Maker, progress: Callable[[float], None]) -> int:
+def fill(opened: OpenArchive, maker: Maker, progress: Progress) -> int:
     """Make the missing units, close the archive, and return the number of masks written.
 
     `progress` is called with the fraction of all rows that are written.
@@ -229,7 +229,7 @@ ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", 
 def make_here(
     opened: OpenArchive,
     units: Sequence[Unit],
-    inside: Inside | None = None,
+    inside: Progress | None = None,
     *,
     device: str,
     processes: int = 1,

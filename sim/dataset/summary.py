@@ -1,19 +1,20 @@
 """Summary of an archive: its size, its presses without a solution, its marker check."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from recorder.archive import ArchivedSensor, MarkerArchive, marker_flags
+from sim.arrays import Progress
 
 # Most flagged frames, and most presses without a solution, that are listed one by one.
 SHOWN = 5
 
 
 def summary(
-    path: Path, *, check: bool = True, progress: Callable[[float], None] = lambda fraction: None
+    path: Path, *, check: bool = True, progress: Progress = lambda fraction: None
 ) -> Iterator[str]:
     """Yield the summary of a complete archive, whose markers may be counted, 1 ms an image."""
     archive = MarkerArchive(path)
@@ -44,7 +45,7 @@ def _presses(archive: MarkerArchive) -> Iterator[str]:
     yield from _some(f"{len(lost)} presses have no solution, their rows are not valid", list(lost))
 
 
-def _flags(archive: MarkerArchive, images: int, progress: Callable[[float], None]) -> Iterator[str]:
+def _flags(archive: MarkerArchive, images: int, progress: Progress) -> Iterator[str]:
     flagged: list[str] = []
     counted = 0
     for index, sensor in enumerate(archive.values()):

@@ -499,13 +499,8 @@ class Assembly:
             self._precise = mesh_on(
                 device, variants, variant, rule, wp.float64, elements=False, inertia=on[1]
             )
-        table = PartTable.pack(
-            [scene.indenter for scene in scenes],
-            unit=scenes[0].body.thickness,
-            real=real,
-            device=device,
-        )
-        self._table = table.struct
+        indenters, unit = [scene.indenter for scene in scenes], scenes[0].body.thickness
+        self._table = PartTable.pack(indenters, unit, real, device).struct
         self._contact = contact_kernels(real, "friction" in self.effects, traits)
         self._overlap = overlap_kernel(real, traits)
         self._work = work_kernel(real, "friction" in self.effects)

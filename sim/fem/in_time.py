@@ -5,14 +5,14 @@ many. Viscosity alone has no companion: its steps are those of a force that foll
 a power, for which the response is known.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from sim.arrays import Array
+from sim.arrays import Array, Progress
 from sim.errors import SimulationDiverged
 from sim.fem import Fem
 from sim.fem.mesh import outline_of
@@ -52,7 +52,7 @@ def simulate_in_time(
     numerics: Fem = Fem(),
     *,
     device: str = "cpu",
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[Outcome]:
     """Return the outcomes of `simulate_fem`, with `record["time"]`: `factor` and `force`."""
     steps = [time_steps(scene, numerics, device) for scene in scenes]

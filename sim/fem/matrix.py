@@ -117,27 +117,6 @@ _LINE = """
 
 
 @functools.cache
-def wide_row(real):
-    """Return `line(offsets, matrix, v, env, n)` for one precision: a row of a matrix times v.
-
-    For a matrix (B, N, 27) and v (B, N), as the slow version in `_kernels`. The 27 blocks of a row
-    must be contiguous.
-    """
-    vec3 = vector_of(real)
-
-    @wp.func_native(_LINE.format(real=native_of(real)))
-    def line(
-        offsets: wp.array(dtype=wp.int32),
-        matrix: wp.array3d(dtype=matrix_of(real)),
-        v: wp.array2d(dtype=vec3),
-        env: int,
-        n: int,
-    ) -> vec3: ...
-
-    return line
-
-
-@functools.cache
 def _zero_function(real):
     """Return `zero(numbers, env)`: clear all numbers (B, K) of an environment on a CPU.
 
@@ -157,13 +136,24 @@ def _zero_function(real):
 def row_function(real, stored, wide: bool):
     """Return `line(offsets, matrix, v, env, n)`: a row of a matrix (B, N, 27) times v (B, N).
 
-    `stored` is the scalar type of the matrix; `wide` is for rows of contiguous blocks on a CPU.
+    `stored` is the scalar type of the matrix; `wide` is for rows of contiguous blocks on a CPU,
+    which are stored as `real`.
     """
-    if wide:
-        return wide_row(real)
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
     stored33 = matrix_of(stored)
+    if wide:
+
+        @wp.func_native(_LINE.format(real=native_of(real)))
+        def line(
+            offsets: wp.array(dtype=wp.int32),
+            matrix: wp.array3d(dtype=mat33),
+            v: wp.array2d(dtype=vec3),
+            env: int,
+            n: int,
+        ) -> vec3: ...
+
+        return line
 
     @wp.func
     def by_blocks(

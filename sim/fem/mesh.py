@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 
 from sim.arrays import Array
 from sim.errors import SceneError
@@ -150,7 +151,7 @@ def axis(
     position = np.linspace(-size / 2, size / 2, 2001)
     away = np.maximum(np.maximum(window[0] - position, position - window[1]), 0.0)
     density = 1.0 / np.minimum(spacing + growth * away, max(coarsest, spacing))
-    count = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(position))])
+    count = np.asarray(cumulative_trapezoid(density, position, initial=0.0))
     return _in_buckets(count, position, at_least=at_least)
 
 

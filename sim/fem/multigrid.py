@@ -692,13 +692,9 @@ class Multigrid:
         for fine, coarse in pairwise(self._grids):
             nodes = coarse.rest.shape[1]
             room = (SLOTS, nodes) if self._parallel else (nodes, SLOTS)
-            wp.launch(
-                coarsen,
-                dim=(self._environments, *room),
-                inputs=[coarse.weights, chosen, fine.matrix],
-                outputs=[coarse.matrix],
-                device=self._device,
-            )
+            by_block = self._environments, *room
+            inputs = [coarse.weights, chosen, fine.matrix]
+            wp.launch(coarsen, by_block, inputs, [coarse.matrix], device=self._device)
             coarse.factors.make(chosen, coarse.matrix)
 
     def advance(self, which, scalars, along, vectors, sums) -> None:
@@ -715,14 +711,9 @@ class Multigrid:
             wp.launch(
                 self._step, (len(which), r.shape[1]), inputs, [solution, r], device=self._device
             )
-        wp.launch(
-            self._sweep,
-            dim=(len(which), self._column_parts * (BLOCK if self._on_gpu else 1)),
-            inputs=[self._factors.arrays, *inputs],
-            outputs=[solution, r, z, sums],
-            device=self._device,
-            block_dim=BLOCK,
-        )
+        by_column = len(which), self._column_parts * (BLOCK if self._on_gpu else 1)
+        inputs, outputs = [self._factors.arrays, *inputs], [solution, r, z, sums]
+        wp.launch(self._sweep, by_column, inputs, outputs, device=self._device, block_dim=BLOCK)
         if self.grids == 1:
             return
         scale, _smooth, residual, restrict, prolong, _coarsen = self._kernels
@@ -755,13 +746,8 @@ class Multigrid:
         )
 
     def _launch(self, kernel, count: int, which, inputs, outputs) -> None:
-        wp.launch(
-            kernel,
-            dim=(len(which), count),
-            inputs=[which, self._hard, *inputs],
-            outputs=outputs,
-            device=self._device,
-        )
+        inputs = [which, self._hard, *inputs]
+        wp.launch(kernel, (len(which), count), inputs, outputs, device=self._device)
 
     def _array(self, values) -> wp.array:
         whole = np.issubdtype(np.asarray(values).dtype, np.integer)

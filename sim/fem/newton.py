@@ -71,14 +71,8 @@ class Newton:
     def __init__(self, assembly: Assembly) -> None:
         self._assembly = assembly
         count, nodes = assembly.environments, len(assembly.mesh.nodes)
-        self._cg = ConjugateGradient(
-            assembly.real,
-            count,
-            nodes,
-            str(assembly.device),
-            assembly.block_matrix,
-            assembly.preconditioner,
-        )
+        tangent = assembly.block_matrix, assembly.preconditioner
+        self._cg = ConjugateGradient(assembly.real, count, nodes, str(assembly.device), *tangent)
         self._start = wp.zeros_like(assembly.state.u)
         self._friction = "friction" in assembly.effects
         self.residual = np.full(count, np.inf)
@@ -124,25 +118,17 @@ class Newton:
         """
         if not chosen.any():
             return
-        self._tolerance[chosen] = tolerance[chosen]
         self._predicting[chosen] = predict[chosen]
         state = self._assembly.state
         if self._friction:
             state.settle_limit(self._mask(chosen))
         state.set_tip(chosen & predict, before=True)
         state.set_tip(chosen & ~predict)
-        self._patience[chosen] = patience[chosen]
-        self._restart(chosen)
+        self.resume(chosen, tolerance, patience)
 
     def resume(self, chosen: np.ndarray, tolerance: np.ndarray, patience: np.ndarray) -> None:
         """Continue from the solution, after an update of multipliers; all as in `begin`."""
-        if not chosen.any():
-            return
-        self._tolerance[chosen] = tolerance[chosen]
-        self._patience[chosen] = patience[chosen]
-        self._restart(chosen)
-
-    def _restart(self, chosen: np.ndarray) -> None:
+        self._tolerance[chosen], self._patience[chosen] = tolerance[chosen], patience[chosen]
         self.iterations[chosen], self.cg[chosen] = 0, 0
         self.residual[chosen], self._damping[chosen] = np.inf, 0.0
         self._exact_below[chosen], self._convex_left[chosen] = EXACT_BELOW, CONVEX_MOST
@@ -613,13 +599,8 @@ class ConjugateGradient:
 
     def _step(self, most: int, *, first: bool) -> None:
         """Step along the search direction, end solves, and turn to the next direction."""
-        self._preconditioner.advance(
-            self._which,
-            self._scalars,
-            (self._p, self._product),
-            (self.solution, self._r, self._z),
-            self._sums,
-        )
+        along, vectors = (self._p, self._product), (self.solution, self._r, self._z)
+        self._preconditioner.advance(self._which, self._scalars, along, vectors, self._sums)
         _start, _step_length, compare, turn = self._kernels
         inputs, outputs = [first, self._sums, self._accuracy, most], [self._which, self._scalars]
         self._launch(compare, self._lanes, inputs, [*outputs, self._goes_on])

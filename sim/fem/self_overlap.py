@@ -60,19 +60,14 @@ def self_overlap(mesh: Mesh, u: Array) -> tuple[float, int]:
     if not folded.any():
         return 0.0, -1
     node, element = _pairs(mesh, positions, *_near(mesh, positions, mesh.faces[folded]))
-    if not len(node):
-        return 0.0, -1
-    point, corners = positions[node], positions[mesh.elements[element]]
-    may_be = _may_be_within(corners, point)
-    node, element, point = node[may_be], element[may_be], point[may_be]
-    if not len(node):
-        return 0.0, -1
-    local = _within(corners[may_be], point)
+    may_be = _may_be_within(positions[mesh.elements[element]], positions[node])
+    node, element = node[may_be], element[may_be]
+    local = _within(positions[mesh.elements[element]], positions[node])
     inside = (np.abs(local) <= 1.0).all(axis=1)  # NaN is not
     if not inside.any():
         return 0.0, -1
-    node, element, point, local = node[inside], element[inside], point[inside], local[inside]
-    depth = _depths(mesh, positions, element, local, point)
+    node, element, local = node[inside], element[inside], local[inside]
+    depth = _depths(mesh, positions, element, local, positions[node])
     deepest = int(np.argmax(depth))
     return (float(depth[deepest]), int(node[deepest])) if depth[deepest] > ON_SKIN else (0.0, -1)
 
@@ -105,10 +100,8 @@ def _near(
     cells = np.array(mesh.cells)
     least = most = places.reshape(*(cells + 1), 3)
     for axis in range(3):
-        first, second = (
-            (slice(None),) * axis + (slice(-1),),
-            (slice(None),) * axis + (slice(1, None),),
-        )
+        before = (slice(None),) * axis
+        first, second = (*before, slice(-1)), (*before, slice(1, None))
         least = np.minimum(least[first], least[second])
         most = np.maximum(most[first], most[second])
     reaches = ((most >= low) & (least <= high)).all(axis=-1)

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.integrate import cumulative_trapezoid
 
 from sim.arrays import Array
 from sim.indenters import Indenter
@@ -52,9 +53,8 @@ LONG = 3.0
 # Pixels around a piece of a contact that are looked at with it: its outline's normals and the rim
 # of the body depend on the next one.
 ASIDE = 2
-# Weights of a normal distribution of 1.5 pixels, which smooths masks before normals are taken.
-SMOOTH = np.exp(-0.5 / 1.5**2 * np.arange(-6, 7) ** 2)
-SMOOTH /= SMOOTH.sum()
+# Standard deviation of the smoothing of masks before normals are taken [pixels].
+SMOOTH = 1.5
 # Neighbours of a pixel (F, X, Y): those of the same frame.
 BESIDE = np.zeros((3, 3, 3), bool)
 BESIDE[1] = True
@@ -83,12 +83,8 @@ class Sizes:
 
     def joined(self, other: Sizes) -> Sizes:
         """Return sizes that satisfy both."""
-        return Sizes(
-            self.x + other.x,
-            self.y + other.y,
-            min(self.top, other.top),
-            max(self.width, other.width),
-        )
+        top, width = min(self.top, other.top), max(self.width, other.width)
+        return Sizes(self.x + other.x, self.y + other.y, top, width)
 
 
 NOTHING = Sizes((), (), math.inf)
@@ -210,9 +206,7 @@ def _normals(mask: Mask) -> Array:
     if 1 in mask.shape[1:]:
         slope = np.ones((2, *mask.shape))
     else:
-        soft = mask.astype(float)
-        for axis in (1, 2):
-            soft = ndimage.correlate1d(soft, SMOOTH, axis, mode="constant")
+        soft = ndimage.gaussian_filter(mask.astype(float), SMOOTH, mode="constant", axes=(1, 2))
         slope = np.stack([_slopes(soft, 1), _slopes(soft, 2)])
     length = np.maximum(np.sqrt(slope[0] ** 2 + slope[1] ** 2), 1e-12)
     return np.asarray(slope / length)
@@ -300,10 +294,7 @@ def places_of(
     forward = np.minimum.accumulate(size - growth * position) + growth * position
     backward = np.minimum.accumulate((size + growth * position)[::-1])[::-1] - growth * position
     density = fineness / np.minimum(forward, backward)
-    counted = np.concatenate(
-        [[0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(position))]
-    )
-    return counted, position
+    return np.asarray(cumulative_trapezoid(density, position, initial=0.0)), position
 
 
 def resolved(touched: Mask, x: Array, y: Array, *, body: Body, top: float) -> Array:
@@ -455,7 +446,7 @@ def _looks(scene: Scene) -> list[Sizes]:
     estimated: list[tuple[Array, float, Sizes]] = []
     for index in np.argsort(tips[:, 2], kind="stable").tolist():
         tip = tips[index]
-        down = scene.body.height(*_onto(scene.body, tip)) - float(tip[2])
+        down = _height_below(scene.body, tip) - float(tip[2])
         if down <= 0:
             continue
         for other, deep, sizes in estimated:
@@ -470,11 +461,8 @@ def _looks(scene: Scene) -> list[Sizes]:
     return sizes_at
 
 
-def _onto(body: Body, tip: Array) -> tuple[float, float]:
-    return (
-        float(np.clip(tip[0], -body.size_x / 2, body.size_x / 2)),
-        float(np.clip(tip[1], -body.size_y / 2, body.size_y / 2)),
-    )
+def _height_below(body: Body, tip: Array) -> float:
+    return float(_heights(body, tip[:1], tip[1:2])[0, 0])
 
 
 @lru_cache(maxsize=4096)
@@ -495,17 +483,11 @@ def _look(indenter: Indenter, body: Body, at: tuple[float, ...]) -> Sizes:
     width = np.maximum(width, longest * NARROW_PIXELS / WINDOW_MOST)
     count = WINDOW * (2 if longest > NARROW * width.min() else 1)
     count = max(count, min(math.ceil(NARROW_PIXELS * longest / width.min()), WINDOW_MOST))
-    here = body.thickness + body.height(*_onto(body, tip))
+    here = body.thickness + _height_below(body, tip)
     here = here if here < THIN * body.thickness else body.thickness
     thickness = float(np.clip(here, 1e-4, LAYERS * width.min()))
-    window = Body(
-        size_x=float(width[0]),
-        size_y=float(width[1]),
-        thickness=thickness,
-        modulus=body.modulus,
-        poisson=body.poisson,
-    )
-    grid = PixelGrid(window, count)
+    side_x, side_y = width.tolist()
+    grid = PixelGrid(Body(side_x, side_y, thickness, body.modulus, body.poisson), count)
     x, y = grid.x + middle[0], grid.y + middle[1]
     reach = max(body.thickness, 2 * abs(float(tip[2])))
     height = indenter.heights(x[:, None] - tip[0], y - tip[1], reach=reach, thinnest=THIN_LAYER)
@@ -531,8 +513,7 @@ def _heights(body: Body, x: Array, y: Array) -> Array:
 def covered(indenter: Indenter, body: Body, tip: Array) -> tuple[Any, Any] | None:
     """Return least and greatest (x, y) of the undeformed top that an indenter at `tip` overlaps."""
     half = np.array([body.size_x, body.size_y]) / 2
-    highest = float(_heights(body, np.array([tip[0]]), np.array([tip[1]]))[0, 0])
-    deep = max(0.0, max(highest, 0.0) - float(tip[2]))
+    deep = max(0.0, max(_height_below(body, tip), 0.0) - float(tip[2]))
     bounds = np.array(indenter.bounds_below(deep)[:2])
     low = np.maximum(bounds[:, 0] + tip[:2], -half)
     high = np.minimum(bounds[:, 1] + tip[:2], half)

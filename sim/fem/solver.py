@@ -1,13 +1,13 @@
 """Solver of the `fem` tier: meshes, their solutions, and finer ones where those are too coarse."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from recorder.progress import span_of
-from sim.arrays import Array
+from sim.arrays import Array, Progress
 from sim.device import check_device, kind_of
 from sim.errors import SimulationDiverged
 from sim.fem import ELEMENTS_DEFAULT, FINENESS_LEAST, PENALTY_MOST, Fem, Precision
@@ -19,8 +19,6 @@ from sim.fem.sizing import Sizes, coarser_than_required, stages_of
 from sim.fem.stepping import Batch, Crossed, batch_key, path_of
 from sim.result import Outcome, Result, force_scale, with_beginning
 from sim.scene import Scene, beginning_of
-
-Progress = Callable[[float], None]
 
 
 @dataclass(slots=True)

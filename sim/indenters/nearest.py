@@ -87,13 +87,8 @@ class Nearest:
             some = slice(first, first + QUERIES_AT_ONCE)
             queries = wp.array(points[some] / MM, dtype=wp.vec3, device=self._device)
             answers = wp.empty(len(queries), dtype=wp.vec4, device=self._device)
-            wp.launch(
-                _nearest_kernel(signed),
-                dim=len(queries),
-                inputs=[self._mesh.id, winding, queries],
-                outputs=[answers],
-                device=self._device,
-            )
+            inputs, kernel = [self._mesh.id, winding, queries], _nearest_kernel(signed)
+            wp.launch(kernel, len(queries), inputs, [answers], device=self._device)
             answer = answers.numpy()
             gap[some], direction[some] = answer[:, 3] * np.float64(MM), answer[:, :3]
         return gap, direction

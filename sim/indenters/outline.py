@@ -14,7 +14,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from sim.arrays import Array
-from sim.errors import SceneError, check_range, is_finite, make_plain
+from sim.errors import SceneError, check_choice, check_range, is_finite, make_plain
 
 Pair = tuple[float, float]
 
@@ -350,13 +350,9 @@ class Part:
 
     def __post_init__(self) -> None:
         make_plain(self)
-        for name, option, allowed in (
-            ("view", self.view, VIEWS),
-            ("figure", self.figure, FIGURES),
-            ("join", self.join, JOINS),
-        ):
-            if option not in allowed:
-                raise SceneError(f"part.{name}: {option!r}; allowed: {', '.join(allowed)}")
+        check_choice("part.view", self.view, VIEWS)
+        check_choice("part.figure", self.figure, FIGURES)
+        check_choice("part.join", self.join, JOINS)
         if not isinstance(self.values, tuple) or not all(map(is_finite, self.values)):
             raise SceneError(f"part.values: {self.values!r}; allowed: finite numbers")
         if len(self.axis) != 2:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.arrays import Array
-from sim.errors import SceneError, check_range
+from sim.errors import SceneError, check_choice, check_range
 from sim.indenters.curved import curved
 from sim.indenters.grid import SKIP, NodeGrid
 from sim.indenters.outline import Bounds
@@ -370,10 +370,8 @@ def _crossings(
         value, gradient = function(point)
         if turn < PASSES - 1:
             like_low = (value > 0) == (at_low > 0)
-            low, high = (
-                np.where(like_low[:, None], point, low),
-                np.where(like_low[:, None], high, point),
-            )
+            low = np.where(like_low[:, None], point, low)
+            high = np.where(like_low[:, None], high, point)
             at_low, at_high = np.where(like_low, value, at_low), np.where(like_low, at_high, value)
     return point, gradient, value
 
@@ -471,13 +469,9 @@ class Solid:
     """Remarks on repairs and suspicious features."""
 
     def __post_init__(self) -> None:
-        for name, option, allowed in (
-            ("unit", self.unit, UNITS),
-            ("up", self.up, UPS),
-            ("axis", self.axis, AXES),
-        ):
-            if option not in allowed:
-                raise SceneError(f"solid.{name}: {option!r}; allowed: {', '.join(allowed)}")
+        check_choice("solid.unit", self.unit, UNITS)
+        check_choice("solid.up", self.up, UPS)
+        check_choice("solid.axis", self.axis, AXES)
         check_range("solid", "spacing", self.spacing, 5e-6, 1e-3, unit="m")
         check_range("solid", "reach", self.reach, 4 * self.spacing, 0.1, unit="m")
 

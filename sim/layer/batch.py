@@ -3,7 +3,7 @@
 import itertools
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from recorder.processes import cores
-from sim.arrays import Array
+from sim.arrays import Array, Progress
 from sim.device import check_device
 from sim.errors import SimulationDiverged
 from sim.layer import Layer
@@ -69,7 +69,7 @@ def simulate_layers(
     layer: Layer = Layer(),
     *,
     device: str,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[Outcome]:
     """Simulate many scenes on one device; return a result for each, or the reason for none.
 

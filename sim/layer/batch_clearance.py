@@ -267,10 +267,5 @@ class BatchClearance:
         `least_out` (B,) becomes the smaller of itself and the least gap above the top displaced by
         `moved` (B, P).
         """
-        wp.launch(
-            self._clear,
-            dim=(which.shape[0], moved.shape[1]),
-            inputs=[self.samples, self._table, which, tip, moved],
-            outputs=[fields, least_out],
-            device=moved.device,
-        )
+        shape, inputs = (len(which), moved.shape[1]), [self.samples, self._table, which, tip, moved]
+        wp.launch(self._clear, shape, inputs, [fields, least_out], device=moved.device)

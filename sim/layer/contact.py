@@ -263,20 +263,14 @@ class Rims:
         lowest = minimum_filter(heights, [many // 2 * 2 + 1 for many in count], mode="nearest")
         with np.errstate(invalid="ignore"):
             covered = np.isfinite(heights) & (heights - lowest < WALL / 2 * max(grid.pixel))
-        self._first = tuple(
-            start + (first - 0.5) * step
-            for start, first, step in zip(origin, begins, self._step, strict=True)
-        )
+        self._first = np.array(origin) + (np.array(begins) - 0.5) * np.array(self._step)
         self._edges = tuple(
             np.r_[centres - pixel / 2, centres[-1] + pixel / 2]
             for centres, pixel in zip((grid.x, grid.y), grid.pixel, strict=True)
         )
         self._sums = tuple(
-            np.pad(field.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
-            for field in (
-                covered / math.prod(count),
-                np.where(covered, heights, 0) / math.prod(count),
-            )
+            np.pad((field / math.prod(count)).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+            for field in (covered, np.where(covered, heights, 0))
         )
 
     def at(self, tip: Array) -> tuple[Array, Array]:
@@ -336,15 +330,8 @@ class Clearance:
         reach = REACH * math.ceil(self._cap / REACH)
         begins, heights = _samples(indenter, (origin[0], origin[1]), self._step, span, reach)
         self._heights = np.full(widths, self._cap)
-        ours, theirs = zip(
-            *(
-                _common(mine, count, its, many)
-                for mine, count, its, many in zip(
-                    self._first, widths, begins, heights.shape, strict=True
-                )
-            ),
-            strict=True,
-        )
+        runs = map(_common, self._first, widths, begins, heights.shape)
+        ours, theirs = zip(*runs, strict=True)
         self._heights[ours] = np.minimum(heights[theirs], self._cap)
         self._rims = None if endless(indenter) else Rims(indenter, grid, span, reach)
 

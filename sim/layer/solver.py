@@ -2,13 +2,14 @@
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.arrays import Progress
 from sim.errors import SceneError, SimulationDiverged
 from sim.layer import Layer
 from sim.layer.contact import Clearance, Contact, solve_frictional, solve_frictionless
@@ -249,13 +250,10 @@ class LayerPress:
         if self._step(tip, duration):
             return
         if halvings == HALVINGS:
-            raise self._diverged()
+            raise diverged_at(self._scene, self.tip, self.traction, self.displacement, self._tried)
         middle = (self.tip + tip) / 2
         self._step_or_halve(middle, duration / 2, halvings + 1)
         self._step_or_halve(tip, duration / 2, halvings + 1)
-
-    def _diverged(self) -> SimulationDiverged:
-        return diverged_at(self._scene, self.tip, self.traction, self.displacement, self._tried)
 
     def _step(self, tip: Array, duration: float) -> bool:
         """Attempt a step and return True if it converged; if not, the state is unchanged."""
@@ -400,9 +398,6 @@ class LayerFrames:
             quality=Quality(**self._quality),
             record=record,
         )
-
-
-Progress = Callable[[float], None]
 
 
 def simulate_layer(

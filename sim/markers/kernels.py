@@ -207,13 +207,9 @@ def find_material(top: Top, vertex, number) -> wp.array:
     material = wp.empty(number.shape, dtype=wp.vec2, device=number.device)
     run = RUN if number.device.is_cpu else 1
     frames, rows, columns = number.shape
-    wp.launch(
-        _material_kernel(run),
-        dim=(frames, rows, columns // run),
-        inputs=[wp.vec2(*top.corner), wp.vec2(*top.step), vertex, number],
-        outputs=[material],
-        device=number.device,
-    )
+    inputs = [wp.vec2(*top.corner), wp.vec2(*top.step), vertex, number]
+    by_run, kernel = (frames, rows, columns // run), _material_kernel(run)
+    wp.launch(kernel, by_run, inputs, [material], device=number.device)
     return material
 
 

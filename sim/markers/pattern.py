@@ -8,13 +8,12 @@ from typing import Literal, Self, get_args
 import numpy as np
 
 from sim.arrays import Array
-from sim.errors import SceneError, check_range
+from sim.errors import SceneError, check_choice, check_range
 from sim.scene import Body
 
 Shape = Literal["disc", "square", "diamond"]
 Place = tuple[float, float]
 
-SHAPES = get_args(Shape)
 # Tolerance for markers that extend beyond the gel by rounding [m].
 ROUND_OFF = 1e-9
 
@@ -39,8 +38,7 @@ class Pattern:
     """Rotation of each marker about its centre, anticlockwise [rad], up to pi."""
 
     def __post_init__(self) -> None:
-        if self.shape not in SHAPES:
-            raise SceneError(f"pattern.shape: {self.shape!r}; allowed: {', '.join(SHAPES)}")
+        check_choice("pattern.shape", self.shape, get_args(Shape))
         check_range("pattern", "size", self.size, 1e-5, 0.1, unit="m")
         check_range("pattern", "angle", self.angle, -math.pi, math.pi, unit="rad")
         if not self.places:
@@ -64,16 +62,12 @@ class Pattern:
         """Half the extent of a marker along x, and along y [m]."""
         if self.shape == "disc":
             return self.size / 2
-        half, angle = self._square
+        half, angle = self.square
         return half * (abs(math.cos(angle)) + abs(math.sin(angle)))
 
     def moved(self, shift: Place = (0.0, 0.0), angle: float = 0.0, *, name: str = "") -> Self:
         """Return the pattern rotated by `angle` [rad] about the gel's middle, then shifted [m]."""
-        cosine, sine = math.cos(angle), math.sin(angle)
-        centres = tuple(
-            (cosine * x - sine * y + shift[0], sine * x + cosine * y + shift[1])
-            for x, y in self.places
-        )
+        centres = tuple((x + shift[0], y + shift[1]) for x, y in turned(self.places, angle))
         return replace(self, name=name or self.name, places=centres, angle=self.angle + angle)
 
     def marker_distance(self, offset: Array) -> Array:
@@ -83,7 +77,7 @@ class Pattern:
         """
         if self.shape == "disc":
             return np.asarray(np.hypot(offset[..., 0], offset[..., 1]) - self.size / 2)
-        half, angle = self._square
+        half, angle = self.square
         cosine, sine = math.cos(angle), math.sin(angle)
         x, y = offset[..., 0], offset[..., 1]
         beyond_x = np.abs(cosine * x + sine * y) - half
@@ -134,8 +128,8 @@ class Pattern:
             )
 
     @property
-    def _square(self) -> tuple[float, float]:
-        """Half the side of a square or diamond marker, and its angle."""
+    def square(self) -> tuple[float, float]:
+        """Half the side of a square or diamond marker [m], and its angle [rad]."""
         if self.shape == "square":
             return self.size / 2, self.angle
         return self.size / (2 * math.sqrt(2)), self.angle + math.pi / 4

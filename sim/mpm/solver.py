@@ -3,11 +3,12 @@
 """Solver of the `mpm` tier: presses stepped through time, all of them in one batch."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import warp as wp
 
+from sim.arrays import Progress
 from sim.device import check_device
 from sim.errors import SceneError, SimulationDiverged
 from sim.mpm import Mpm
@@ -147,8 +148,6 @@ def _tip_velocity(pace: Pace, cell: float) -> np.ndarray:
             velocity[first:last] = (pace.corners[k] - pace.corners[k - 1]) / (last - first) / cell
     return velocity
 
-
-Progress = Callable[[float], None]
 
 # A record's values of the pace.
 PACE = "mass_scaling", "wave_speed", "tip_speed", "speed_ratio", "time_step", "courant", "steps"

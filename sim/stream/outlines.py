@@ -101,21 +101,13 @@ def _ring(pattern: Pattern) -> Array:
         # Same area as the disc: the polygon's area is POINTS / 2 sin(2 pi / POINTS) r^2.
         radius = pattern.size / 2 * math.sqrt(math.tau / POINTS / math.sin(math.tau / POINTS))
         return radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    stands = pattern.shape == "diamond"
-    half = pattern.size / 2 / (math.sqrt(2) if stands else 1.0)
-    angle = pattern.angle + (math.pi / 4 if stands else 0.0)
+    half, angle = pattern.square
     side = np.linspace(-half, half, POINTS // 4, endpoint=False)
-    edge = np.full_like(side, half)
-    square = np.concatenate(
-        [
-            np.stack([side, -edge], axis=1),
-            np.stack([edge, side], axis=1),
-            np.stack([-side, edge], axis=1),
-            np.stack([-edge, -side], axis=1),
-        ]
-    )
+    sides = [np.stack([side, np.full_like(side, -half)], axis=1)]
+    for _ in range(3):  # each a quarter of a turn on from the one before
+        sides.append(sides[-1][:, ::-1] * [-1.0, 1.0])
     cosine, sine = math.cos(angle), math.sin(angle)
-    return np.asarray(square @ np.array([[cosine, sine], [-sine, cosine]]))
+    return np.asarray(np.concatenate(sides) @ np.array([[cosine, sine], [-sine, cosine]]))
 
 
 def _taps(x: Array, y: Array, places: Array) -> tuple[NDArray[np.int64], Array]:

@@ -280,13 +280,8 @@ class LiveSensor:
         self.answer = Answer(press.tip, press.touching, values, self._slope.matrix, rate)
 
     def _no_contact(self) -> Answer:
-        return Answer(
-            self.press.tip,
-            touching=False,
-            values=self._values(),
-            slope=self._slope.matrix,
-            rate=np.zeros(self._count),
-        )
+        values, rate = self._values(), np.zeros(self._count)
+        return Answer(self.press.tip, False, values, self._slope.matrix, rate)
 
     def _values(self) -> Array:
         press, values = self.press, np.zeros(self._count)

@@ -6,7 +6,7 @@ move them as they were seen to move.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Any, Self, get_args
@@ -17,7 +17,7 @@ from scipy.ndimage import center_of_mass, find_objects, label
 from scipy.optimize import least_squares
 
 from recorder.markers import smallest_marker
-from sim.arrays import Array
+from sim.arrays import Array, Progress
 from sim.errors import SceneError
 from sim.markers import WIDTH, Camera, Pattern
 from sim.markers.camera import TILT_MOST
@@ -207,7 +207,7 @@ def fitted_camera(
     *,
     name: str,
     grid: int = 96,
-    progress: Callable[[float], None] = lambda fraction: None,
+    progress: Progress = lambda fraction: None,
 ) -> CameraFit:
     """Return the camera and layout that explain observations, however badly.
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from recorder.processes import several
 from recorder.progress import part_of, span_of
-from sim.arrays import Array
+from sim.arrays import Array, Progress
 from sim.errors import SceneError
 from sim.result import ContactTier
 from sim.scene import Friction, Viscosity
@@ -151,7 +151,7 @@ def fitted(
     tier: ContactTier = "layer",
     device: str = "cpu",
     processes: int = 1,
-    progress: Callable[[float], None] = lambda fraction: None,
+    progress: Progress = lambda fraction: None,
 ) -> Fit:
     """Return the twin that explains tracks of one sensor, however badly: see its `misfit`.
 
@@ -197,7 +197,7 @@ def _fit(
     model: TrackModel,
     rougher: TrackModel,
     correct: Callable[[Mapping[str, float]], None] | None,
-    progress: Callable[[float], None],
+    progress: Progress,
 ) -> Fit:
     """Return the fit by a model of tier `layer`, whose error is its distance from a rougher one.
 
@@ -264,7 +264,7 @@ def _fit(
 
 
 def _other_thicknesses(
-    problem: FitProblem, values: Mapping[str, float], progress: Callable[[float], None]
+    problem: FitProblem, values: Mapping[str, float], progress: Progress
 ) -> Iterator[Descended]:
     """Yield descents that begin with a thinner and a thicker skin than that of some values.
 
@@ -428,7 +428,7 @@ def _tilted(problem: FitProblem, level: Descended) -> Mapping[str, float]:
 def _descended(
     problem: FitProblem,
     values: Mapping[str, float],
-    progress: Callable[[float], None],
+    progress: Progress,
     previous: Linear | None = None,
 ) -> Descended:
     """Return where the free quantities explain the tracks best, from `previous` at `values`."""
@@ -477,8 +477,7 @@ def _descended(
 
 def _step(names: Sequence[str], values: Mapping[str, float], normal: Array, slope: Array) -> Array:
     """Return the step (p,) to where `normal` step = `slope`; at a bound none leads beyond it."""
-    step = np.zeros(len(names))
-    step[:] = np.linalg.solve(normal, slope)
+    step = np.asarray(np.linalg.solve(normal, slope), float)
     free = np.array(
         [name != "compliance" or values[name] > 0 or step[k] >= 0 for k, name in enumerate(names)]
     )
@@ -615,14 +614,10 @@ def _stacked(
         if slopes:
             rows.append(slopes[index][used])
         scaled = np.concatenate([row / each[used, None, None] for row in rows], axis=-1)
-        white = _whitened(_flat(scaled), _flat(common))
+        white = _whitened(*(each.reshape(-1, each.shape[-1]) for each in (scaled, common)))
         parts.append(white[:, 0])
         columns.append(white[:, 1:])
     return np.concatenate(parts), np.concatenate(columns)
-
-
-def _flat(points: Array) -> Array:
-    return points.reshape(-1, points.shape[-1])
 
 
 def _common(force: Array, target: NDArray[np.int64], rest: NDArray[np.int64], off: Array) -> Array:

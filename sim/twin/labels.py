@@ -1,7 +1,7 @@
 """Forces of a twin in the presses of an archive."""
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from recorder.archive import ArchivedSensor, press_rows
 from recorder.processes import results, several
 from recorder.progress import span_of
-from sim.arrays import Array
+from sim.arrays import Array, Progress
 from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import indenter_of, is_indenter
 from sim.result import Result
@@ -93,10 +93,10 @@ def forces(
     )
 
 
-def _from_above(twin: SimulatedSensor, press: ArchivedPress) -> tuple[Array, Array]:
+def _from_above(sensor: SimulatedSensor, press: ArchivedPress) -> tuple[Array, Array]:
     """Return tips (n + 1, 3) [m] and times (n + 1,) [s] of a press, the first in the air."""
     start = np.array([[*press.tip[0, :2], ABOVE]])
-    first = (ABOVE - press.tip[0, 2]) / twin.speed
+    first = (ABOVE - press.tip[0, 2]) / sensor.speed
     return np.concatenate([start, press.tip]), np.r_[0.0, press.time + first]
 
 
@@ -104,7 +104,7 @@ def by_fem_at_once(
     twin: SimulatedSensor,
     presses: Sequence[ArchivedPress],
     device: str,
-    progress: Callable[[float], None],
+    progress: Progress,
 ) -> Iterator[Array | SimulationDiverged]:
     """Yield the twin's forces by tier `fem` in presses (n, 3) [N], which a GPU solves together."""
     fem = replace(fem_of(twin), one_topology=True)
@@ -125,9 +125,9 @@ def by_layer(sensors: Sequence[SimulatedSensor], press: ArchivedPress, grid: int
     indenter = indenter_of(press.indenter)
     for number, sensor in enumerate(sensors):
         live = LivePress(sensor, indenter, grid=grid, tolerance=TOLERANCE)
-        before, at = np.array([*press.tip[0, :2], ABOVE]), 0.0
-        first = (ABOVE - press.tip[0, 2]) / sensor.speed
-        for row, (tip, time) in enumerate(zip(press.tip, press.time + first, strict=True)):
+        tips, times = _from_above(sensor, press)
+        before, at = tips[0], times[0]
+        for row, (tip, time) in enumerate(zip(tips[1:], times[1:], strict=True)):
             count = max(1, int(np.ceil(np.linalg.norm(tip - before) / WAY)))
             for part in range(1, count + 1):
                 live.move(before + (tip - before) * part / count, (time - at) / count)
@@ -148,7 +148,7 @@ def simulated_forces(
     height: float | None = None,
     device: str = "cpu",
     processes: int = 1,
-    progress: Callable[[float], None] = lambda fraction: None,
+    progress: Progress = lambda fraction: None,
 ) -> TwinForces:
     """Return the twin's forces at all frames of the presses of an archive.
 

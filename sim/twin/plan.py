@@ -1,13 +1,13 @@
 """Plan of presses that identify a twin: which indenters, depths, shears and holds tell most."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
-from sim.arrays import Array
+from sim.arrays import Array, Progress
 from sim.errors import SceneError
 from sim.layer.spectral import FEWEST
 from sim.sensors import SimulatedSensor
@@ -191,7 +191,7 @@ class Planner:
         *,
         seconds: float,
         change: float,
-        progress: Callable[[float], None] = lambda fraction: None,
+        progress: Progress = lambda fraction: None,
     ) -> list[PlannedPresses]:
         """Return presses that narrow the sensor's intervals most in the time given [s].
 

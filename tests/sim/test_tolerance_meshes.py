@@ -18,10 +18,11 @@ from sim.fem.sizing import Sizes, Span
 from sim.fem.solver import Required, simulate_fem
 from sim.fem.stepping import OutOfTime
 from sim.indenters import sphere
+from sim.metrics import Tolerance
 from sim.result import Outcome, Result
 from sim.scene import Viscosity, beginning_of
 from sim.tiers import simulate
-from sim.tolerance import STATES_MOST, _states, simulate_within
+from sim.tolerance import STATES_MOST, first_mesh, simulate_within
 
 BALL = Scene(sphere(4e-3), press([0.3e-3]))
 WET = replace(BALL, effects=Effects(viscosity=Viscosity((0.5,), (0.1,))))
@@ -40,7 +41,7 @@ WET = replace(BALL, effects=Effects(viscosity=Viscosity((0.5,), (0.1,))))
 def test_states_are_as_exact_as_a_tolerance_asks(
     scene: Scene, fraction: float, tolerance: float, path: float | None
 ) -> None:
-    states = _states(scene, fraction)
+    states = first_mesh(scene, Tolerance("fraction", fraction), "cpu")
     assert states.tolerance == pytest.approx(tolerance)
     assert states.path_tolerance == (None if path is None else pytest.approx(path))
 
@@ -78,7 +79,8 @@ def test_states_of_a_contact_far_smaller_than_the_thickness_are_balanced() -> No
 def test_a_light_touch_is_balanced_well_enough_for_a_tolerance() -> None:
     scene = Scene(sphere(20e-3), press([0.02e-3]), Body(34e-3, 34e-3, 4e-3))
     forces = []
-    for tolerance in (_states(scene, 0.01).tolerance, _states(scene, 0.03).tolerance, 1e-5):
+    wanted = Tolerance("fraction", 0.01), Tolerance("fraction", 0.03)
+    for tolerance in (*(first_mesh(scene, one, "cpu").tolerance for one in wanted), 1e-5):
         (found,) = simulate_fem([scene], Fem(fineness=0.95, tolerance=tolerance))
         assert isinstance(found, Result)
         forces.append(found.force[-1, 2])
