@@ -181,7 +181,8 @@ def _marker_motion(motion: Motion, first: Floats, second: Floats) -> Floats:
 
 def _timed(sources: Sources, once: Callable[[Times], object]) -> float:
     """Return the median time of `once` over windows at random places [us]."""
-    span = sources.span or (0, 0)
+    every = [each.times for each in sources.streams.values() if each.traits.roles]
+    span = min(int(each[0]) for each in every), max(int(each[-1]) for each in every)
     clock, rng = SystemClock(), np.random.default_rng(0)
     took = []
     for end in rng.integers(span[0] + SECOND_NS, span[1], _REPEATS).tolist():
