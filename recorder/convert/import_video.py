@@ -209,13 +209,14 @@ def _folder(path: Path, fps: float | None, stills: bool) -> Film:
             for file in files:
                 with part(file.name):
                     sizes.append(size_of_picture(file.name, file))
+        rate = "" if stills else f"{rate_hz:g} images/s by --fps, "
         film = film_of_pictures(
             path.name,
             sizes,
             every(range(len(files)), rate_hz),
             lambda: (pixels_of_picture(file.name, file) for file in files),
             jpeg=False,
-            about=(f"in order of the names, {files[0].name} first", ""),
+            about=(f"{rate}in order of the names, {files[0].name} first", ""),
         )
         film = replace(film, rate_hz=rate_hz)
     if not stills:

@@ -67,7 +67,7 @@ def states(session: Session) -> Iterator[Finding]:
         steps = steps.get(key) if isinstance(steps, dict) else None
     gauge = session.first("force")
     if gauge is not None and steps != "well":
-        text = f"no known weight has verified its scale ({next_command('setup')})"
+        text = f"scale of the gauge not verified by a known weight ({next_command('setup')})"
         yield Finding("unverified", f"streams/{gauge}", text)
 
 

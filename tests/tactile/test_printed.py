@@ -31,8 +31,8 @@ def test_pictures_and_forces_are_imported_as_they_are_and_each_rate_is_said(
     words += " --trim --sensor gelsight --lag 0"
     assert main(["import", "c.zarr", *words.split(), *IMPORT]) == 0
     assert capsys.readouterr().out.splitlines() == [
-        "frames: 20 images/s by --fps, in order of the names, 000.png first",
-        "frames: decoded and stored as pixels, losslessly",
+        "frames: 20 images/s by --fps, in order of the names, 000.png first, decoded and stored as "
+        "pixels, losslessly",
         "f.csv: 40 rows/s by --force-hz",
         "f.csv: rounded to 1e-6 N and 1e-9 N m; largest change 4.4e-16 N, 0 N m",
         "frames: lag of +0.000 s by --lag",
