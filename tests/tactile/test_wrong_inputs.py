@@ -84,7 +84,7 @@ OPTIONS = {
     "import y.zarr --sensor a --indenter b": "--out: missing; allowed: the session or folder to",
     "import y.zarr --taxels t.npy --sensor a --indenter b": "60 rows say no times; say --taxels-hz",
     "import y.zarr --taxels t.npy --taxels-hz -1 --sensor a --indenter b": "--taxels-hz: found -1",
-    "import y.zarr --taxels split.npy --taxels-hz 60 --sensor a --indenter b": "no file of its kind",
+    "import y.zarr --taxels split.npy --taxels-hz 60 --sensor a --indenter b": "file of its kind",
     "import y.zarr --taxels 7.npy --taxels-hz 60 --sensor a --indenter b": "allowed: (n, 48), (n",
     "import y.zarr --force f.csv --force-hz 40 --sensor a --indenter b": "says no unit; say",
     "import y.zarr --video f.csv --fps 9 --sensor a --indenter b": "OpenCV finds no video in it",
