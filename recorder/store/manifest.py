@@ -267,8 +267,11 @@ def wrong_files(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[
     if not chain:
         return
     sealed = SealedFiles(files, session, chain[0], is_open)
+    # Files that sealing writes again, or leaves behind if it is killed.
     again = re.compile(
-        rf"zarr\.json|frames.*|{GROUP}/zarr\.json" if attrs["status"] == "recording" else ""
+        rf"zarr\.json|frames.*|{GROUP}/zarr\.json|.*{re.escape(TEMPORARY)}"
+        if attrs["status"] == "recording"
+        else ""
     )
     for key in sorted([] if is_open else chain[0].files):
         if again.fullmatch(key):

@@ -179,7 +179,7 @@ def test_the_commands_take_a_url(
     assert main(["session", "info", str(recorded)]) == 0
     assert far == capsys.readouterr().out.replace(str(recorded), url)
     assert main(["session", "check", url]) == 0
-    assert capsys.readouterr().out.endswith(f"{url}: no faults, 1 note\n")
+    assert capsys.readouterr().out.endswith(f"{url}: no faults, 2 notes\n")
     assert main(["session", "export", url, str(tmp_path / "far"), "--to", "genforce"]) == 0
     export(recorded, tmp_path / "near", "genforce")
     trees = [
