@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from recorder.checks.plausible import doubts
 from recorder.errors import SessionError
 from recorder.findings import Finding
-from recorder.session.align import NS, flat, measured
+from recorder.session.align import NS, changed, flat, measured
 from recorder.session.columns import Rows, Stream, blocks
 from recorder.session.loss import (
     ARRIVAL,
@@ -526,12 +526,7 @@ def _check_frozen(
     where: str, stream: Stream, rows: slice, values: Array | Rows, stood: NDArray[np.int64]
 ) -> Iterator[Finding]:
     """Yield stretches of equal values, which are those in `rows` or the checksums of images."""
-    changed = np.ones(len(values) + 1, np.bool_)
-    for part in blocks(len(values) - 1):
-        # Two NaN differ, so that axes that are not measured would hide a frozen gauge.
-        some = measured(stream, values[part.start : part.stop + 1])
-        changed[1:][part] = (some[1:] != some[:-1]).any(axis=1)
-    ends = np.flatnonzero(np.diff(changed)).reshape(-1, 2)
+    ends = np.flatnonzero(np.diff(changed(stream, values))).reshape(-1, 2)
     ends = ends[ends[:, 1] - ends[:, 0] + 1 >= FROZEN_SAMPLES]
     if not len(ends):
         return

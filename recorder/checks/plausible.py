@@ -19,9 +19,10 @@ from recorder.checks.presses import ASIDE, BACK, DEEP, DOWN, NOISE, Phase, Press
 from recorder.checks.testimony import Testimony, most
 from recorder.checks.timing import force_timing
 from recorder.findings import Finding
-from recorder.session.align import NS, largest, measured, quaternion, untrusted_words
+from recorder.session.align import NS, changed, largest, quaternion, untrusted_words
 from recorder.session.columns import StreamPart, blocks
 from recorder.session.reader import Session
+from recorder.session.states import READING
 from recorder.spec import AXES
 
 Floats = NDArray[np.float64]
@@ -204,7 +205,7 @@ def pulls(presses: Presses) -> Iterator[Testimony]:
 def scale(presses: Presses) -> Iterator[Testimony]:
     """Forces of another size than those expected of the skin, or than other presses have."""
     tops = _deepest(presses)
-    expected = presses.setting("expected_force")
+    expected = presses.session.setting("expected_force")
     depths, forces = (np.asarray(expected.get(name) or [], float) for name in ("depths", "forces"))
     doubt, factors = [], []
     for depth, force, _one in tops:
@@ -308,13 +309,10 @@ def held(presses: Presses) -> Iterator[Testimony]:
     for stream in presses.session.streams.values():
         if stream.traits.kind not in ("force", "taxels") or len(stream) < 100:
             continue
-        changed = np.ones(len(stream) + 1, np.bool_)
-        for part in blocks(len(stream) - 1):
-            some = measured(stream, stream.rows_between("value", part.start, part.stop + 1))
-            changed[1:][part] = (some[1:] != some[:-1]).any(axis=1)
-        if changed.mean() < 0.5 or "reading" in stream.names:
+        differs = changed(stream, stream.rows("value", slice(None)))
+        if differs.mean() < 0.5 or READING in stream.names:
             continue  # one without noise, or a scale that settles
-        runs = np.diff(np.flatnonzero(changed))
+        runs = np.diff(np.flatnonzero(differs))
         usual = float(np.quantile(runs, 0.999, method="lower"))
         worst = int(runs.argmax())
         message = (
@@ -426,7 +424,7 @@ def speeds(presses: Presses) -> Iterator[Testimony]:
     pose, session = presses.pose, presses.session
     if pose is None:
         return
-    arm = presses.setting("bench", "arm")
+    arm = presses.session.setting("bench", "arm")
     planned = [
         float(arm[key]) * 1e-3
         for key in ("speed_mm_s", "travel_speed_mm_s")

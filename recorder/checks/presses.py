@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,12 +50,6 @@ class Phase:
     offset: Floats
     """Forces and torques of the point's reference (6,) [N, N m]."""
     presses: Presses
-    surface: float
-    """Height of the undeformed surface [m]."""
-    moments: Times
-    """Times of the places of the whole run (k,) [ns]."""
-    places: Floats
-    """Places of the tip in the whole run (k, 3) [m], in the contact frame."""
 
     @property
     def stored(self) -> Floats:
@@ -66,16 +59,18 @@ class Phase:
     @property
     def depth(self) -> Floats:
         """Indentation (n,) [m]; NaN without an arm or a contact frame."""
-        if len(self.moments) < 2 or self.presses.force is None:
+        moments, places = self.presses.places(self.run)
+        if len(moments) < 2 or self.presses.force is None:
             return np.full(self.count, np.nan)
         times = self.presses.force.rows("t_ns", slice(self.first, self.first + self.count))[:]
-        height = align.linear(self.moments, self.places[:, 2], times).value
-        return np.asarray(self.surface - height)
+        height = align.linear(moments, places[:, 2], times).value
+        return np.asarray(self.presses.height(self.target) - height)
 
     @property
     def place(self) -> Floats:
         """Places of the tip (m, 3) [m] in the contact frame, at the arm's rate; may be empty."""
-        return self.places[slice(*np.searchsorted(self.moments, (self.start, self.end)))]
+        moments, places = self.presses.places(self.run)
+        return places[slice(*np.searchsorted(moments, (self.start, self.end)))]
 
     @property
     def wrench(self) -> Floats:
@@ -182,16 +177,15 @@ class Presses:
 
     def _phases(self) -> Iterator[Phase]:
         segments, force = self.session.segments, self.force
-        none = slice(0, 0)
         for row in range(len(segments["target"])):
             run, target = int(segments["run"][row]), int(segments["target"][row])
             if not 0 <= target < len(self.session.targets.get("point", ())):
                 continue  # a fault of the segments, or a session without targets
-            rows = none if force is None else self.session.rows_of_run(force.name, run)
-            times = np.zeros(0, np.int64) if force is None else force.t_ns[rows]
-            moments, places = self.places(run)
             start, end = int(segments["start_ns"][row]), int(segments["end_ns"][row])
-            first, last = np.searchsorted(times, (start, end))
+            first = last = 0
+            if force is not None:
+                rows = self.session.rows_of_run(force.name, run)
+                first, last = (rows.start or 0) + np.searchsorted(force.t_ns[rows], (start, end))
             yield Phase(
                 target,
                 int(segments["phase"][row]),
@@ -199,27 +193,15 @@ class Presses:
                 run,
                 start,
                 end,
-                int(rows.start or 0) + int(first),
+                int(first),
                 int(last - first),
                 self.offset(run, target, start),
                 self,
-                self.height(target),
-                moments,
-                places,
             )
 
     def of(self, *codes: int) -> list[Phase]:
         """Return the phases of these codes that have samples."""
         return [one for one in self.phases if one.code in codes and one.count]
-
-    def setting(self, *keys: str) -> dict[str, Any]:
-        """Return a mapping of the session's attributes, such as that of `bench`, `arm`, or none."""
-        entry: Any = self.session.attrs
-        for key in keys:
-            entry = entry.get(key)
-            if not isinstance(entry, dict):
-                return {}
-        return dict(entry)
 
     def planned(self, name: str, target: int) -> float:
         """Return a number of a target's plan, such as `depth` [m]; NaN if it has none."""

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from recorder.checks.presses import DEEP, DOWN, UP, Phase, Presses
 from recorder.checks.testimony import Testimony, most
-from recorder.session.align import EXPOSURE, NS, captured
+from recorder.session.align import NS, captured
 from recorder.session.columns import Stream, StreamPart
-from recorder.session.uncertainty import latency_sigma
+from recorder.session.uncertainty import latency_sigma, longest_exposure
 
 Floats = NDArray[np.float64]
 Level = Callable[[int, int], Floats]
@@ -32,8 +32,8 @@ SIGMAS, FRAME, SINGLE, SCATTERS = 3.0, 1 / 30, 2.0, 4.0
 def timing(presses: Presses, stream: Stream, level: Level) -> Iterator[Testimony]:
     """Yield the testimony about the times of a stream.
 
-    `level` returns the signal (n,) of rows [first, last): 0 without contact, rising with the
-    indentation; where it is NaN, nothing is said.
+    `level` returns the signal (n,) of rows [first, last): 0 without contact, and larger the deeper
+    the tip is. Presses in which it is NaN are left out.
     """
     name = stream.name
     delays: list[float] = []
@@ -54,9 +54,7 @@ def timing(presses: Presses, stream: Stream, level: Level) -> Iterator[Testimony
     limit = SIGMAS * sigma + max(1 / stream.rate_hz, FRAME)
     delays = [delay - 0.5 * (longest or 0.0) for delay in delays]
     if stream.traits.kind == "camera":  # an image shows the middle of its exposure
-        exposure = stream.attrs.get("exposure")
-        exposure = max(1 / stream.rate_hz, EXPOSURE) if exposure is None else float(exposure)
-        delays = [delay - 0.5 * exposure for delay in delays]
+        delays = [delay - 0.5 * longest_exposure(stream) for delay in delays]
     usual = float(np.median(delays))
     apart = np.abs(np.array(delays) - usual)
     single = apart / (SINGLE * limit + SCATTERS * 1.48 * float(np.median(apart)))

@@ -115,7 +115,7 @@ def find_clock(sensed: Signal, force: Signal, where: str) -> ClockFit:
 
 
 class _Fit(NamedTuple):
-    """Lags of pictures (n,) by coefficients (k,), and what they leave of the force."""
+    """A fitted delay of each picture (n,), its coefficients (k,), and how well it fits."""
 
     lag: Floats
     change: Floats
@@ -156,7 +156,7 @@ class _Pair:
         return np.stack([power - ((force @ basis) ** 2).sum(axis=1), power])
 
     def searched(self) -> tuple[Floats, float]:
-        """Return middle lag and drift that leave least, and what the best far from it leaves."""
+        """Return the best middle lag and drift, and the misfit of another lag over theirs."""
         span = float(np.ptp(self.t))
         reach = int(np.ceil(_DRIFT_MOST * span / (2 * _RESOLUTION)))
         drifts = np.linspace(-_DRIFT_MOST, _DRIFT_MOST, 2 * reach + 1)[:, None]

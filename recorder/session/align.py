@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.errors import SessionError
-from recorder.session.columns import Columns
+from recorder.session.columns import Columns, Rows, blocks
 from recorder.session.loss import Losses
 from recorder.spec import AXES, STAMPS, Traits
 
@@ -332,6 +332,18 @@ def measured(stream: Columns, values: Array) -> Array:
     if values.shape[1:] != (len(AXES),) or not isinstance(axes, list):
         return flat(values)
     return values[:, np.isin(AXES, axes)]
+
+
+def changed(stream: Columns, values: Array | Rows) -> Bools:
+    """Return True for rows that differ from the one before on a measured axis (n + 1,).
+
+    The first is True, and so is the end behind the last; two NaN differ.
+    """
+    differs = np.ones(len(values) + 1, np.bool_)
+    for part in blocks(len(values) - 1):
+        some = measured(stream, values[part.start : part.stop + 1])
+        differs[1:][part] = (some[1:] != some[:-1]).any(axis=1)
+    return differs
 
 
 def flat(values: Array) -> Array:

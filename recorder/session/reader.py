@@ -281,6 +281,15 @@ class Session:
         """Return the name of the first stream of a kind; None if there is none."""
         return next(iter(self.of_kind(kind)), None)
 
+    def setting(self, *keys: str) -> dict[str, Any]:
+        """Return a mapping of the attributes, such as that of `bench`, `arm`; empty without it."""
+        entry: Any = self.attrs
+        for key in keys:
+            entry = entry.get(key)
+            if not isinstance(entry, dict):
+                return {}
+        return dict(entry)
+
     def rows_of_run(self, name: str, run: int) -> slice:
         """Return the rows of a stream that belong to a run.
 

@@ -62,11 +62,8 @@ def states(session: Session) -> Iterator[Finding]:
             yield from _slow(session, stream)
         if stream.traits.kind == "force" and READING not in stream.names:
             yield from _clipped(stream)
-    steps = session.attrs.get("calibration")
-    for key in ("acceptance", "steps", "gauge"):
-        steps = steps.get(key) if isinstance(steps, dict) else None
-    gauge = session.first("force")
-    if gauge is not None and steps != "well":
+    steps, gauge = session.setting("calibration", "acceptance", "steps"), session.first("force")
+    if gauge is not None and steps.get("gauge") != "well":
         text = f"scale of the gauge not verified by a known weight ({next_command('setup')})"
         yield Finding("unverified", f"streams/{gauge}", text)
 

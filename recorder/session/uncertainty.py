@@ -90,14 +90,19 @@ def time_sigma(stream: Stream, rows: slice, losses: Losses) -> TimeSigma:
         queue, clock = lateness(t_ns, stream.rate_hz, losses, device_t)
     exposure = 0.0
     if stream.traits.kind == "camera":
-        known = stream.attrs.get("exposure")
-        exposure = max(1.0 / stream.rate_hz, EXPOSURE) if known is None else float(known)
-        if stamped and known is None:
+        exposure = longest_exposure(stream)
+        if stamped and stream.attrs.get("exposure") is None:
             # The end of the exposure lies anywhere from the stamp to a whole exposure after it.
             fraction = STAMPS[stream.traits.stamp]
             latency = float(np.hypot(latency, fraction * exposure / np.sqrt(3.0)))
     exposed = exposure / float(np.sqrt(12.0))
     return TimeSigma(latency, exposed, clock, queue, prior, rows.start or 0)
+
+
+def longest_exposure(stream: Columns) -> float:
+    """Return the exposure of a camera [s]; one that is not known lasts a period at most."""
+    known = stream.attrs.get("exposure")
+    return max(1.0 / stream.rate_hz, EXPOSURE) if known is None else float(known)
 
 
 def row_sigma(

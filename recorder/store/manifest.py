@@ -39,6 +39,8 @@ from recorder.store.files import (
 from recorder.store.layout import MISSING, PARTIAL, StreamLayout
 
 GROUP = "manifest"
+# Files that sealing writes again, or leaves behind if it is killed.
+_AGAIN = re.compile(rf"zarr\.json|frames.*|{GROUP}/zarr\.json|.*{re.escape(TEMPORARY)}")
 _END = b'"sha256": ""}}'
 
 
@@ -206,7 +208,8 @@ def sealed_files(
     The files of a session in its first run are returned as they are. `unsealed` accepts that a
     manifest is lost; the second value then says which one.
     """
-    run, is_open = run_of(attrs), attrs["status"] == "recording"
+    run, unsealed = run_of(attrs), attrs["status"] == "recording"
+    is_open = unsealed
     if is_open:
         closed = [each for each in manifest_runs(session) if each < run]
         if not closed:
@@ -250,7 +253,8 @@ def wrong_files(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[
     all but the files that sealing writes again is verified, unless a stream is being written.
     """
     present = {str(path.relative_to(session)) for path in files.listed(session)}
-    run, is_open = run_of(attrs), attrs["status"] == "recording"
+    run, unsealed = run_of(attrs), attrs["status"] == "recording"
+    is_open = unsealed
     if is_open:
         matches = (re.fullmatch(rf"{GROUP}/(\d+)/zarr.json", key) for key in present)
         closed = [int(match[1]) for match in matches if match and int(match[1]) <= run]
@@ -267,14 +271,8 @@ def wrong_files(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[
     if not chain:
         return
     sealed = SealedFiles(files, session, chain[0], is_open)
-    # Files that sealing writes again, or leaves behind if it is killed.
-    again = re.compile(
-        rf"zarr\.json|frames.*|{GROUP}/zarr\.json|.*{re.escape(TEMPORARY)}"
-        if attrs["status"] == "recording"
-        else ""
-    )
     for key in sorted([] if is_open else chain[0].files):
-        if again.fullmatch(key):
+        if unsealed and _AGAIN.fullmatch(key):
             continue
         try:
             sealed.read(session / key)
@@ -305,7 +303,9 @@ def wrong_files(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[
         return
     manifests = {str(manifest_path(session, one.run).relative_to(session)) for one in chain}
     for key in sorted(present - {*chain[0].files, *chain[0].shards} - manifests):
-        if again.fullmatch(key) or (broken is not None and key.startswith(f"{GROUP}/")):
+        if (unsealed and _AGAIN.fullmatch(key)) or (
+            broken is not None and key.startswith(f"{GROUP}/")
+        ):
             continue
         yield key, f"added after run {run}: the manifest does not name it"
 

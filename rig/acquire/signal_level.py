@@ -133,7 +133,7 @@ class SignalLevel:
 
     def _differs(self, found: Floats) -> bool:
         """Return True if a reading differs by more than noise from the last one that did so."""
-        coarse = _coarse(found) if self._is_image else found
+        coarse = self._reduced(found)
         if self._coarse is not None:
             self._steps.append(_rms(coarse - self._coarse))
         self._coarse = coarse
@@ -154,7 +154,7 @@ class SignalLevel:
         self._floor = float(np.mean(changes))
         spread = float(np.std(changes, ddof=1)) if len(changes) > 2 else 0.0
         self._noise = max(spread, _LEAST_NOISE * self._floor, 1e-6)
-        coarse = [_coarse(each) if self._is_image else each for each in kept]
+        coarse = [self._reduced(each) for each in kept]
         steps = [_rms(after - before) for before, after in itertools.pairwise(coarse)]
         self._still = float(np.median(steps)) if steps else 0.0
         if self._is_image:
@@ -162,6 +162,14 @@ class SignalLevel:
             steep = np.hypot(down, across)
             self._edges = steep >= np.quantile(steep, 1 - _EDGES)
             self._moved = None
+
+    def _reduced(self, found: Floats) -> Floats:
+        """Return the means of the squares of an image, which fresh noise changes little; counts."""
+        if not self._is_image:
+            return found
+        high, wide = (size // _SQUARE for size in found.shape)
+        parts = found[: high * _SQUARE, : wide * _SQUARE].reshape(high, _SQUARE, wide, _SQUARE)
+        return np.asarray(parts.mean(axis=(1, 3), dtype=np.float32))
 
     def _motion(self, found: Floats, rest: Floats) -> float:
         if not self._is_image:
@@ -198,13 +206,6 @@ def _residual(flow: Floats, before: Grey, after: Grey, edges: npt.NDArray[np.boo
         borderMode=cv2.BORDER_REPLICATE,
     )
     return float(np.abs(back.astype(np.float32) - before)[edges].mean())
-
-
-def _coarse(image: Floats) -> Floats:
-    """Return the means of the squares of an image."""
-    high, wide = (size // _SQUARE for size in image.shape)
-    parts = image[: high * _SQUARE, : wide * _SQUARE].reshape(high, _SQUARE, wide, _SQUARE)
-    return np.asarray(parts.mean(axis=(1, 3), dtype=np.float32))
 
 
 def _rms(difference: Floats) -> float:
