@@ -208,8 +208,7 @@ def sealed_files(
     The files of a session in its first run are returned as they are. `unsealed` accepts that a
     manifest is lost; the second value then says which one.
     """
-    run, unsealed = run_of(attrs), attrs["status"] == "recording"
-    is_open = unsealed
+    run, is_open = run_of(attrs), attrs["status"] == "recording"
     if is_open:
         closed = [each for each in manifest_runs(session) if each < run]
         if not closed:
