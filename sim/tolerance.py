@@ -375,15 +375,17 @@ class _Search:
     def _offer(self, chain: _Chain, companion: int | None) -> float:
         """Make the last result the best one if its error is the least; return that error.
 
-        With inertia, for which estimates were not checked, a measured error is better than any.
+        A measured error within the tolerance is better than any, as the least of several estimates
+        is often too small; with inertia, for which these were not checked, so is any measured one.
         """
         result, error = chain.measured(companion, self._wanted)
         way = "estimated" if companion is None else "measured"
         words = with_unit(self._wanted.kind, error) if error < math.inf else "error not known"
         self._tried.append(f"fineness {chain.settings[-1].fineness:.3g}: {words}, {way}")
-        moves = self._scene.effects.inertia is not None
+        moves, measured = self._scene.effects.inertia is not None, companion is not None
         best = self.best
-        if best is None or error < best[0] or (moves and companion is not None and best[3] is None):
+        surer = measured and best is not None and moves and best[3] is None
+        if best is None or error < best[0] or surer or (measured and error <= self._wanted.value):
             self.best = error, result, list(chain.settings), companion
         return error
 
