@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import simplejpeg
 from numpy.typing import NDArray
 
-from recorder.checks.presses import DEEP, DOWN, Presses
 from recorder.checks.testimony import Testimony, most
-from recorder.checks.timing import beyond_noise, timing
+from recorder.checks.timing import timing
 from recorder.findings import Finding
 from recorder.session.align import NS, captured
 from recorder.session.columns import Stream
+from recorder.session.delays import beyond_noise
+from recorder.session.presses import DEEP, DOWN, Presses
+from recorder.session.small_pictures import FEWEST, reference_rows, small_size, smaller
 
 Floats = NDArray[np.floating]
 
-# Factor by which pictures are made smaller before they are looked at, if that leaves enough pixels
-# along each side; fewest of these; and pictures that are held at once, and about their pixels.
-SMALLER, FEWEST, HELD, HELD_PIXELS = 8, 8, 256, 1 << 23
+# Pictures that are held at once, and about their pixels.
+HELD, HELD_PIXELS = 256, 1 << 23
 # Contrast over the usual one below which a picture is dark; and contrast and mean, in grey levels.
 DARK, DARKEST, BLACK = 0.3, 2.0, 30.0
 # How much better a turned picture agrees with the reference (correlation) than as it is.
@@ -52,9 +52,9 @@ def pictures(presses: Presses) -> Iterator[Testimony]:
     session = presses.session
     for name in session.of_kind("camera"):
         stream = session.streams[name]
-        if len(stream) < 4 or min(_size(stream)) < FEWEST:
+        if len(stream) < 4 or min(small_size(stream)) < FEWEST:
             continue
-        looked = _looked(stream, _reference_rows(presses, name))
+        looked = _looked(stream, reference_rows(session, name))
         for run in range(1, len(session.runs)):  # pictures of two runs are no neighbours
             begin = session.rows_of_run(name, run).start or 0
             looked.change[max(begin - 1, 0) : begin] = 0.0
@@ -104,13 +104,13 @@ class Looked:
         return float(np.quantile(some, 0.2)) if some.size else 0.0
 
 
-def _looked(stream: Stream, reference_rows: list[int]) -> Looked:
+def _looked(stream: Stream, resting: list[int]) -> Looked:
     broken: dict[int, str] = {}
-    reference = smaller(stream, reference_rows, {}).mean(axis=0) if reference_rows else None
+    reference = smaller(stream, resting, {}).mean(axis=0) if resting else None
     turns = [] if reference is None else [turn(reference) for turn in TURNS.values()]
     parts: dict[str, list[Floats]] = {name: [] for name in Looked.__dataclass_fields__}
-    before = np.zeros((0, *_size(stream)), np.float32)
-    held = min(HELD, 4 + HELD_PIXELS // math.prod(_size(stream)))
+    before = np.zeros((0, *small_size(stream)), np.float32)
+    held = min(HELD, 4 + HELD_PIXELS // math.prod(small_size(stream)))
     for first in range(0, len(stream), held):
         some = smaller(stream, range(first, min(first + held, len(stream))), broken)
         parts["contrast"].append(some.std(axis=(1, 2)))
@@ -133,47 +133,6 @@ def _looked(stream: Stream, reference_rows: list[int]) -> Looked:
 
 def _rms(images: Floats) -> Floats:
     return np.asarray(np.sqrt((images**2).mean(axis=(1, 2))))
-
-
-def _size(stream: Stream) -> tuple[int, int]:
-    """Return height and width of the smaller pictures of a camera."""
-    image = stream.layout.image
-    height, width = (0, 0) if image is None else image.column.shape[:2]
-    factor = SMALLER if min(height, width) >= SMALLER * FEWEST else 1
-    return height // factor, width // factor
-
-
-def smaller(stream: Stream, rows: Sequence[int], broken: dict[int, str]) -> Floats:
-    """Return pictures of a camera (n, h, w), grey and of `_size`.
-
-    Rows that cannot be decoded are added to `broken`, and are as those before them, or NaN.
-    """
-    height, width = _size(stream)
-    small = np.zeros((len(rows), height, width), np.float32)
-    if stream.jpeg_shape is None:
-        for k, row in enumerate(rows):
-            (image,) = stream.images([row])
-            factor = len(image) // height
-            image = image[: height * factor, : width * factor]
-            shape = height, factor, width, factor * image.shape[2]
-            small[k] = image.reshape(shape).mean(axis=(1, 3))
-        return small
-    good = 0
-    for k, (row, data) in enumerate(zip(rows, stream.jpegs(rows), strict=True)):
-        try:
-            image = simplejpeg.decode_jpeg(data, "GRAY", True, True, height, width)
-            small[k], good = image[:height, :width, 0], k
-        except ValueError as error:
-            broken[row] = f"cannot be decoded: {error}"
-            small[k] = small[good] if k else np.nan
-    return small
-
-
-def _reference_rows(presses: Presses, name: str) -> list[int]:
-    """Return rows of the pictures without contact."""
-    column = presses.session.columns.get(name)
-    rows = np.asarray(presses.session.reference.get(column, ()) if column else (), np.int64)
-    return [int(row) for row in rows if 0 <= row < len(presses.session.streams[name])]
 
 
 def _agreement(small: Floats, other: Floats | None) -> Floats:

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.checks.pictures import pictures, taxels
-from recorder.checks.presses import ASIDE, BACK, DEEP, DOWN, NOISE, Phase, Presses
 from recorder.checks.testimony import Testimony, most
 from recorder.checks.timing import force_timing
 from recorder.findings import Finding
 from recorder.session.align import NS, changed, largest, quaternion, untrusted_words
 from recorder.session.columns import StreamPart, blocks
+from recorder.session.presses import ASIDE, BACK, DEEP, DOWN, NOISE, Phase, Presses
 from recorder.session.reader import Session
 from recorder.session.states import READING
 from recorder.spec import AXES

@@ -44,7 +44,7 @@ from recorder.convert.import_tracks import (
 from recorder.errors import SessionError
 from recorder.progress import ReportItems
 from recorder.session.align import NS
-from recorder.session.frames import in_frame
+from recorder.session.contact_frame import in_frame
 from recorder.session.stream_writer import StreamWriter
 from recorder.session.writer import SessionWriter
 from recorder.spec import (

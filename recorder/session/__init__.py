@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     from recorder.session.align import quaternion as quaternion
     from recorder.session.clocks import clock_lines as clock_lines
     from recorder.session.columns import Stream as Stream
-    from recorder.session.frames import axes_of as axes_of
-    from recorder.session.frames import in_frame as in_frame
+    from recorder.session.contact_frame import axes_of as axes_of
+    from recorder.session.contact_frame import in_frame as in_frame
+    from recorder.session.contact_frame import surface_heights as surface_heights
     from recorder.session.frames import resting as resting
-    from recorder.session.frames import surface_heights as surface_heights
     from recorder.session.loss import loss_lines as loss_lines
     from recorder.session.press_curve import press_curves as press_curves
     from recorder.session.press_curve import save_curves as save_curves

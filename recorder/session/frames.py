@@ -4,14 +4,15 @@ It is derived from the streams and can be rebuilt at any time; it contains no or
 """
 
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.session.align import Floats, Times, align_window, quaternion
+from recorder.session.align import Floats, Times, align_window
+from recorder.session.contact_frame import in_frame, surface_heights
 from recorder.session.reader import Session, sources_near
 from recorder.session.uncertainty import TimeSigma, row_sigma, sigmas_of
 from recorder.spec import PHASES
@@ -51,16 +52,16 @@ def write_frames(path: Path, rate_hz: float) -> None:
     building, old, final = path / _BUILDING, path / _OLD, path / "frames"
     remove_leftovers(path)
     session = Session(path)
+    sigmas = [sigmas_of(session, run) for run in range(max(len(session.runs), 1))]
     attrs = {
         "rate_hz": float(rate_hz),
         "phases": list(PHASES),
         "streams": session.columns,
         "time_sigma": [
-            {name: part.to_json() for name, part in sigmas_of(session, run).items()}
-            for run in range(max(len(session.runs), 1))
+            {name: part.to_json() for name, part in of_run.items()} for of_run in sigmas
         ],
     }
-    write_table(building, frames_table(session, rate_hz), frame_units(session), attrs)
+    write_table(building, frames_table(session, rate_hz, sigmas), frame_units(session), attrs)
     if final.exists():
         final.rename(old)
     building.rename(final)
@@ -75,68 +76,36 @@ def remove_leftovers(path: Path) -> bool:
     return bool(leftovers)
 
 
-def frames_table(session: Session, rate_hz: float) -> dict[str, Array]:
+def frames_table(
+    session: Session, rate_hz: float, sigmas: Sequence[Mapping[str, TimeSigma]] | None = None
+) -> dict[str, Array]:
     """Return the columns of the view, one row per tick that lies in a segment.
 
     Each run has one grid of ticks that starts with the run's first segment; rows never cross runs.
     The columns are those of `UNITS` and one for each aligned stream (see `spec.frame_columns`): its
     value, or the row of an image or a text. Streams named after themselves also have their distance
     to the capture, `<stream>_age`. In a session without targets, such as an imported one, the view
-    covers each run from its first sample to its last.
+    covers each run from its first sample to its last. `sigmas` are those of each run, if they are
+    known.
     """
+    known = sigmas or [sigmas_of(session, run) for run in range(max(len(session.runs), 1))]
     runs = session.run_ticks(rate_hz)
-    parts = [part for run in runs for part in _parts_of_run(session, *run)]
+    parts = [part for run in runs for part in _parts_of_run(session, known[run[0]], *run)]
     if not parts:
-        parts += _parts_of_run(session, 0, np.zeros(0, np.int64), np.zeros(0, np.int64))
+        none = np.zeros(0, np.int64)
+        parts += _parts_of_run(session, known[0], 0, none, none)
     # A column is taken out of its parts when it is joined, to need no memory for both.
     return {name: np.concatenate([part.pop(name) for part in parts]) for name in [*parts[0]]}
 
 
-def in_frame(frame: Floats, poses: Floats) -> Floats:
-    """Return the places of poses in a frame (n, 3) [m]; in the contact frame, depth is -z.
-
-    The frame (6,) and the places, or tool poses, (n, 3 or more) are in the base frame [m, rad]; of
-    the contact frame z is the outward normal.
-    """
-    axes = axes_of(frame[3:])
-    return np.stack([(poses[:, :3] - frame[:3]) @ axis for axis in axes], axis=1)
-
-
-def axes_of(vector: Floats) -> Floats:
-    """Return the axes (3, 3) of a frame in the base frame, one a row, by its rotation vector (3,).
-
-    The rotation vector is in radians.
-    """
-    w, x, y, z = quaternion(vector)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
-            [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
-            [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def surface_heights(session: Session) -> Floats:
-    """Return the height of the undeformed surface at each target's point (t,) [m].
-
-    It is 0 on a flat sensor. On one with a dome, which the plan states, it is below 0 beside the
-    apex; depths are measured from it.
-    """
-    targets, frame = session.targets, session.attrs.get("contact_frame")
-    plan = session.attrs.get("plan")
-    if frame is None or not isinstance(plan, dict) or plan.get("dome_radius") is None:
-        return np.zeros(len(targets.get("depth", ())))
-    planned = np.asarray(targets["planned"], np.float64)
-    height = np.asarray(targets["depth"]) + in_frame(np.asarray(frame, np.float64), planned)[:, 2]
-    # Planned places went through a rotation; no surface is known to a nanometre.
-    return np.asarray(height.round(9) + 0.0)
-
-
 def _parts_of_run(
-    session: Session, run: int, ticks: Times, segment: NDArray[np.int64]
+    session: Session,
+    sigmas: Mapping[str, TimeSigma],
+    run: int,
+    ticks: Times,
+    segment: NDArray[np.int64],
 ) -> Iterator[dict[str, Array]]:
-    sigmas, before = sigmas_of(session, run), np.array([-1])
+    before = np.array([-1])
     for first in range(0, max(len(ticks), 1), _TICKS):
         here = slice(first, first + _TICKS)
         table = _part_table(session, run, ticks[here], segment[here], sigmas)

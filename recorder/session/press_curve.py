@@ -10,7 +10,7 @@ from recorder.charts import BLUE, RED
 from recorder.errors import SessionError
 from recorder.plot import Curve, line_plot
 from recorder.session import align
-from recorder.session.frames import in_frame, surface_heights
+from recorder.session.contact_frame import in_frame, surface_heights
 from recorder.session.reader import Session
 from recorder.spec import PHASES
 

@@ -2,17 +2,18 @@
 
 A sample is captured at its device, waits there, on the line and on the host, and is then stamped.
 The stated uncertainty is a standard deviation: twice that value covers 95 % of the errors. It has
-four parts, whose squares add up:
+five parts, whose squares add up:
 
 - latency: the interval of its calibration; without one, a prior from 0 to some periods; and how
   far the end of exposure is from a stamp at its start or middle, if the exposure is not known
 - exposure: an image shows all of its exposure, a pose one moment of it
 - clock: how far the promptest arrivals wander against the device's rate
 - queue: how much longer than the promptest around it a sample waited, for each sample alone
+- wander: how far the delay behind the arm, press by press, steps or ramps within a run
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,11 +22,14 @@ from numpy.typing import NDArray
 from recorder.command_line.options import next_command
 from recorder.session.align import EXPOSURE, Source, Window
 from recorder.session.columns import Columns, Stream
+from recorder.session.delays import Level, force_level, picture_level, press_delays, timed_phases
 from recorder.session.loss import Losses, is_regular, lateness, witnesses
+from recorder.session.presses import Phase, Presses
 from recorder.session.reader import Session
 from recorder.spec import STAMPS
 
 Floats = NDArray[np.float64]
+Times = NDArray[np.int64]
 
 # Half of a 95 % interval in standard deviations.
 _T_95 = 1.96
@@ -41,6 +45,9 @@ PRIOR: Mapping[str, tuple[float, float]] = {
 _PRIOR_OTHERS = (2.0, 0.01)
 # A driver on the host's clock stamps a frame within this many periods of the end of exposure.
 _PRIOR_STAMPED = 1.0
+# Presses on either side of a step of the latency at least, and of a run that are looked at, at
+# most; standard deviations from which a step or ramp counts, and its least size [s].
+_SIDE, _MOST, _SIGNIFICANT, _LEAST = 2, 24, 3.5, 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,15 +62,23 @@ class TimeSigma:
     """Part of the clock [s]."""
     queue: Floats
     """Part of the waiting of each sample (m,) [s], in the order of their rows."""
+    wander: tuple[Times, Floats]
+    """Part of a latency that differs from one part of the run to another [s], at moments [ns]."""
     prior: float | None
     """Longest latency assumed [s]; None if it was measured."""
     first: int
     """Row of the first sample in its stream."""
 
-    @property
-    def each(self) -> Floats:
-        """Uncertainty of each sample (m,) [s], without the exposure."""
-        return np.asarray(np.sqrt(self.latency**2 + self.clock**2 + self.queue**2))
+    def of(self, t_ns: Times, rows: NDArray[np.intp] | slice = slice(None)) -> Floats:
+        """Return the uncertainty of samples (n,) [s], without the exposure.
+
+        They arrived at `t_ns` (n,) [ns]; `rows` of the run.
+        """
+        moments, sizes = self.wander
+        wander = np.interp(t_ns, moments, sizes) if len(moments) else 0.0
+        return np.asarray(
+            np.sqrt(self.latency**2 + self.clock**2 + self.queue[rows] ** 2 + wander**2)
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values for the attributes of `frames`."""
@@ -74,13 +89,16 @@ class TimeSigma:
             "clock_s": self.clock,
             "queue_rms_s": float(np.sqrt(np.vdot(queue, queue) / len(queue))),
             "queue_longest_s": float(queue.max()),
+            "wander_longest_s": float(self.wander[1].max(initial=0.0)),
             "calibrated": self.prior is None,
             **({} if self.prior is None else {"assumed_latency_s": [0.0, self.prior]}),
         }
 
 
-def time_sigma(stream: Stream, rows: slice, losses: Losses) -> TimeSigma:
-    """Return the uncertainty of the times in one run of a stream."""
+def time_sigma(
+    stream: Stream, rows: slice, losses: Losses, wander: tuple[Times, Floats]
+) -> TimeSigma:
+    """Return the uncertainty of the times in one run of a stream, whose latency may wander."""
     stamped = stream.traits.clock == "monotonic"
     latency, prior = latency_sigma(stream)
     t_ns = stream.rows("t_ns", rows)
@@ -96,7 +114,71 @@ def time_sigma(stream: Stream, rows: slice, losses: Losses) -> TimeSigma:
             fraction = STAMPS[stream.traits.stamp]
             latency = float(np.hypot(latency, fraction * exposure / np.sqrt(3.0)))
     exposed = exposure / float(np.sqrt(12.0))
-    return TimeSigma(latency, exposed, clock, queue, prior, rows.start or 0)
+    return TimeSigma(latency, exposed, clock, queue, wander, prior, rows.start or 0)
+
+
+def _wander(presses: Presses, stream: Stream, phases: list[Phase]) -> tuple[Times, Floats]:
+    """Return how far the latency is from its most likely one in a run (p,) [s], at moments [ns].
+
+    Delays of presses, which tell it where no clock of a device does, are fitted by a step and by a
+    ramp; the better one counts if it is beyond their scatter. The latency that is nearest to the
+    stored times is taken for right.
+    """
+    still = np.zeros(0, np.int64), np.zeros(0)
+    count = len(phases) // 2
+    rows = presses.session.rows_of_run(stream.name, phases[0].run) if phases else slice(0, 0)
+    clocked = stream.traits.clock == "monotonic" or "device_t" in witnesses(stream, rows)
+    if count < 2 * _SIDE or clocked:
+        return still
+    kept = {int(k) for k in np.linspace(0, count - 1, min(count, _MOST)).round()}
+    phases = [one for k, one in enumerate(phases) if k // 2 in kept]
+    level: Level | None = None
+    if stream.traits.kind == "force" and stream is presses.force and presses.forces:
+        level = force_level(presses)
+    elif stream.traits.kind == "camera" and stream.name == presses.session.signal:
+        level = picture_level(presses, stream, phases)
+    found = [] if level is None else press_delays(presses, stream, level, phases)
+    if len(found) < 2 * _SIDE:
+        return still
+    delays = since_shown(stream, [one.delay for one in found])
+    fitted = max((_step(delays), _ramp(delays)), key=lambda one: one[0])
+    if fitted[0] < _SIGNIFICANT or np.ptp(fitted[1]) < _LEAST:
+        return still
+    apart = np.abs(fitted[1] - fitted[1][np.abs(fitted[1]).argmin()])
+    # A step lies anywhere between two presses: both sides of it take the larger.
+    apart = np.maximum(apart, np.maximum(np.append(apart[1:], 0.0), np.append(0.0, apart[:-1])))
+    return np.array([one.t_ns for one in found]), apart
+
+
+def _step(delays: Floats) -> tuple[float, Floats]:
+    """Return the best step in delays (n,): its size over its uncertainty, and the levels (n,)."""
+    best = (0.0, delays * 0.0)
+    for k in range(_SIDE, len(delays) - _SIDE + 1):
+        parts = delays[:k], delays[k:]
+        levels = np.repeat([part.mean() for part in parts], [len(part) for part in parts])
+        size = abs(parts[1].mean() - parts[0].mean())
+        best = max(best, (_over(size, delays - levels, k), levels), key=lambda one: one[0])
+    return best
+
+
+def _ramp(delays: Floats) -> tuple[float, Floats]:
+    """Return the best ramp in delays (n,), as `_step` does."""
+    number = np.arange(len(delays))
+    slope, level = np.polyfit(number, delays, 1)
+    levels = level + slope * number
+    return _over(float(np.ptp(levels)), delays - levels, len(delays) // 2), levels
+
+
+def _over(size: float, left: Floats, before: int) -> float:
+    """Return a change over its uncertainty by the scatter (n,) beside it and the presses before."""
+    scatter = np.sqrt((left**2).sum() / (len(left) - 2)) + _LEAST / 4
+    return float(size / (scatter * np.sqrt(1 / before + 1 / (len(left) - before))))
+
+
+def since_shown(stream: Columns, delays: Sequence[float]) -> Floats:
+    """Return delays of presses (n,) [s]; of an image, beside the middle of its exposure."""
+    exposed = longest_exposure(stream) if stream.traits.kind == "camera" else 0.0
+    return np.array(delays) - 0.5 * exposed
 
 
 def longest_exposure(stream: Columns) -> float:
@@ -131,12 +213,14 @@ def sigmas_of(session: Session, run: int) -> dict[str, TimeSigma]:
     Raises:
         SessionError: A corrupt column.
     """
-    return {
-        name: time_sigma(
-            session.streams[name], session.rows_of_run(name, run), session.losses(name, run)
-        )
-        for name in session.columns
-    }
+    presses = Presses(session)
+    phases = [one for one in timed_phases(presses) if one.run == run]
+    parts = {}
+    for name in session.columns:
+        stream, rows = session.streams[name], session.rows_of_run(name, run)
+        wander = _wander(presses, stream, phases)
+        parts[name] = time_sigma(stream, rows, session.losses(name, run), wander)
+    return parts
 
 
 def uncalibrated(stream: Columns) -> str | None:
@@ -187,7 +271,7 @@ def latency_sigma(stream: Columns) -> tuple[float, float | None]:
 
 def _at(part: TimeSigma, source: Source, moments: NDArray[np.int64]) -> Floats:
     """Return the larger uncertainty (n,) of the samples before and after each moment, or NaN."""
-    times, values = source.times, replace(part, queue=part.queue[source.rows - part.first]).each
+    times, values = source.times, part.of(source.times, source.rows - part.first)
     if not len(values):
         return np.full(len(moments), np.nan)
     after = np.searchsorted(times, moments, side="left")

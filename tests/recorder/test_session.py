@@ -37,7 +37,8 @@ from recorder import (
 from recorder.checks.check import check
 from recorder.convert import Options, export
 from recorder.findings import faults
-from recorder.session.frames import in_frame, write_frames
+from recorder.session.contact_frame import in_frame
+from recorder.session.frames import write_frames
 from recorder.session.reader import grid
 from recorder.store import files
 from recorder.store.reader import Table

@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import simplejpeg
 import zarr
-from support.sessions import T0, make_session, reseal, set_attrs
+from support.sessions import DEPTH, T0, depth_at, make_session, reseal, set_attrs
 
 from recorder import Session, SessionError, check
 from recorder.info import describe
@@ -133,4 +134,51 @@ def test_errors_under_random_delays_lie_within_twice_the_uncertainty(tmp_path: P
     session = session_with(tmp_path / "s.zarr", {}, change=delayed)
     for name, part in sigmas_of(session, 0).items():
         error = (session.streams[name].t_ns - truth[name]) * 1e-9
-        assert (np.abs(error) <= 2 * part.each).mean() >= 0.95, name
+        stated = part.of(session.streams[name].t_ns[:])
+        assert (np.abs(error) <= 2 * stated).mean() >= 0.95, name
+
+
+@pytest.mark.parametrize("name", ["camera", "force"])
+@pytest.mark.parametrize("how", ["step", "back", "ramp"])
+def test_a_latency_that_steps_or_ramps_is_covered_in_each_third(
+    tmp_path: Path, name: str, how: str
+) -> None:
+    late: list[np.ndarray] = []
+
+    def lit(seconds: float) -> bytes:
+        """Return a picture whose middle is the brighter the deeper the press."""
+        image = np.full((48, 64, 3), 60, np.uint8)
+        image[12:36, 16:48] += np.uint8(150 * max(depth_at(np.array([seconds]))[0] / DEPTH, 0))
+        return simplejpeg.encode_jpeg(image)
+
+    def delayed(stream: str, columns: Columns) -> Columns:
+        columns = dict(columns)
+        if stream == name:
+            place = np.linspace(0, 1, len(columns["t_ns"]))
+            delay = {"step": place > 0.5, "back": place < 0.5, "ramp": place}[how] * 0.045
+            late.append(delay)
+            columns["t_ns"] = columns["t_ns"] + (1e9 * delay).astype(np.int64)
+            if stream == "camera":
+                columns["device_t"] = columns["device_t"] * np.nan
+                columns["value"] = [lit(row / 60) for row in range(len(delay))]
+        return columns
+
+    path = make_session(
+        tmp_path / "s.zarr",
+        seconds=13.2,
+        names=(name, "force", "pose")[name == "force" :],
+        change=delayed,
+    )
+    exact = {"latency": 0.0, "latency_calibration": {"interval_s": [-5e-4, 5e-4], "method": "taps"}}
+    set_attrs(path / "streams" / name, **exact)
+    session = Session(path)
+    stated = 2 * sigmas_of(session, 0)[name].of(session.streams[name].t_ns[:])
+    covers = [np.mean(part) for part in np.array_split(late[0] <= stated, 3)]
+    assert min(covers) > 0.92, covers
+    assert np.median(stated) < 0.1
+
+
+@pytest.mark.parametrize("name", ["camera", "force"])
+def test_a_latency_that_stays_adds_nothing(tmp_path: Path, name: str) -> None:
+    session = session_with(tmp_path / "s.zarr", {})
+    assert not sigmas_of(session, 0)[name].wander[1].any()

@@ -42,8 +42,12 @@ def within_stated(session_path: Path, truth_path: Path) -> dict[str, float]:
 
 def _stated(session: Session, name: str) -> np.ndarray:
     """Return the stated uncertainty of each sample of a stream (n,) [s]."""
-    parts = [sigmas_of(session, run)[name] for run in range(max(len(session.runs), 1))]
-    return np.concatenate([np.hypot(part.each, part.exposure) for part in parts])
+    found = []
+    for run in range(max(len(session.runs), 1)):
+        part, rows = sigmas_of(session, run)[name], session.rows_of_run(name, run)
+        sigma = part.of(session.streams[name].t_ns[rows])
+        found.append(np.hypot(sigma, part.exposure))
+    return np.concatenate(found)
 
 
 def _of_windows(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from recorder.session import align
 from recorder.session.columns import Stream
-from recorder.session.frames import in_frame, surface_heights
+from recorder.session.contact_frame import in_frame, surface_heights
 from recorder.session.reader import Session
 from recorder.spec import AXES, PHASES
 

@@ -1,0 +1,142 @@
+"""When a stream shows a press, beside the arm's way into the skin.
+
+Forces and pictures follow the indentation. In each press, the delay is found at which a signal is
+best described by the depth and its square, on the way down and up: what depends on the direction,
+such as a surface that is lower than stated, has opposite effects on the two, whose mean is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.session.align import NS, captured
+from recorder.session.columns import Stream, StreamPart
+from recorder.session.presses import DEEP, DOWN, UP, Phase, Presses
+from recorder.session.small_pictures import reference_rows, small_size, smaller
+
+Floats = NDArray[np.float64]
+Level = Callable[[range], Floats]
+
+# Delays that are tried [s]; time around a phase that is looked at [s]; most samples of a phase, and
+# fewest; and how much of a signal the depth must explain.
+DELAYS, AROUND, MOST, FEWEST, EXPLAINED = np.arange(-0.4, 0.401, 0.01), 0.1, 60, 6, 0.98
+
+
+class PressDelay(NamedTuple):
+    """Delay of a stream in one press."""
+
+    target: int
+    """Index of the target."""
+    t_ns: int
+    """When the press began [ns]."""
+    delay: float
+    """Time by which the stream is behind the arm [s]."""
+
+
+def press_delays(
+    presses: Presses, stream: Stream, level: Level, phases: Sequence[Phase]
+) -> list[PressDelay]:
+    """Return the delay of a stream in each of some presses that tells one.
+
+    `level` returns the signal (n,) in a range of rows: 0 without contact, and larger the deeper the
+    tip is. Presses in which it is NaN are left out. `phases` are both ways of each press.
+    """
+    by_press: dict[tuple[int, int], dict[int, Phase]] = {}
+    for one in phases:
+        by_press.setdefault((one.run, one.target), {})[one.code] = one
+    found = []
+    for of_press in by_press.values():
+        if {DOWN, UP} <= {*of_press}:
+            with np.errstate(all="ignore"):  # values may be impossible ones
+                both = [_delay(presses, of_press[code], stream, level) for code in (DOWN, UP)]
+            if np.isfinite(both).all():
+                down = of_press[DOWN]
+                found.append(PressDelay(down.target, down.start, float(np.mean(both))))
+    return found
+
+
+def timed_phases(presses: Presses) -> list[Phase]:
+    """Return the ways down and up of the presses that are deep enough to tell a delay."""
+    return [
+        one
+        for one in presses.phases
+        if one.whole and one.code in (DOWN, UP) and presses.planned("depth", one.target) >= DEEP
+    ]
+
+
+def beyond_noise(moved: NDArray[np.floating]) -> Level:
+    """Return the level by a change (n,), which is less, in squares, that of the noise at rest.
+
+    Rows whose change is not known are NaN.
+    """
+    noise = np.nanquantile(moved, 0.02)
+    size = np.sqrt(np.maximum(np.square(moved, dtype=np.float64) - noise**2, 0.0))
+    return lambda rows: size[rows.start : rows.stop : rows.step]
+
+
+def force_level(presses: Presses) -> Level:
+    """Return the level by the gauge: its compression, else its largest force [N]."""
+    axes = presses.forces
+
+    def level(rows: range) -> Floats:
+        values = presses.values(rows.start, rows.stop)[:: rows.step]
+        return -values[:, 2] if 2 in axes else np.abs(values[:, axes]).max(axis=1)
+
+    return level
+
+
+def picture_level(presses: Presses, stream: Stream, phases: Sequence[Phase]) -> Level | None:
+    """Return the level by the pictures in some phases, which are decoded; None without reference.
+
+    It is the difference from the pictures without contact [grey levels].
+    """
+    resting = reference_rows(presses.session, stream.name)
+    if not resting or min(small_size(stream)) < FEWEST:
+        return None
+    reference = smaller(stream, resting, {}).mean(axis=0)
+    moved = np.full(len(stream), np.nan)
+    for one in phases:
+        rows = _rows(presses, one, stream)
+        if len(rows):
+            beside = smaller(stream, rows, {}) - reference
+            moved[rows.start : rows.stop : rows.step] = np.sqrt((beside**2).mean(axis=(1, 2)))
+    return beyond_noise(moved) if np.isfinite(moved).any() else None
+
+
+def _rows(presses: Presses, one: Phase, stream: Stream) -> range:
+    """Return at most some `MOST` rows of a stream in a phase, and a little around it."""
+    of_run, around = presses.session.rows_of_run(stream.name, one.run), round(AROUND / NS)
+    ends = (one.start - around, one.end + around * (one.code == UP))
+    first, last = (of_run.start or 0) + np.searchsorted(stream.t_ns[of_run], ends)
+    return range(int(first), int(last), max(1, int(last - first) // MOST))
+
+
+def _delay(presses: Presses, one: Phase, stream: Stream, level: Level) -> float:
+    """Return the delay of a signal behind the depth in one phase [s]; NaN if it cannot be told."""
+    moments, places = presses.places(one.run)
+    rows = _rows(presses, one, stream)
+    if rows.stop - rows.start < FEWEST or len(moments) < 2:
+        return float("nan")
+    times = captured(StreamPart(stream, rows.start, rows.stop))[:: rows.step]
+    value = level(rows)
+    value = value - value.mean()
+    depth = 1e3 * (presses.height(one.target) - places[:, 2])
+    at = (times - one.start) * NS - DELAYS[:, None]
+    inside = np.maximum(np.interp(at, (moments - one.start) * NS, depth), 0.0)
+    basis = np.stack([inside, inside**2], axis=-1)
+    basis -= basis.mean(axis=1, keepdims=True)
+    gram = basis.transpose(0, 2, 1) @ basis + 1e-9 * np.eye(2)
+    fitted = (basis.transpose(0, 2, 1) @ value)[..., None]
+    size = max(float(value @ value), 1e-12)
+    explained = (fitted * np.linalg.solve(gram, fitted)).sum(axis=(1, 2)) / size
+    explained[fitted[:, 0, 0] <= 0] = 0.0  # a signal rises with the depth
+    best = int(explained.argmax())
+    if not explained[best] > EXPLAINED or not 0 < best < len(DELAYS) - 1:
+        return float("nan")
+    low, middle, high = explained[best - 1 : best + 2]
+    step = 0.5 * (DELAYS[1] - DELAYS[0])
+    return float(DELAYS[best] + step * (low - high) / (low - 2 * middle + high))

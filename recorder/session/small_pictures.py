@@ -1,0 +1,57 @@
+"""Pictures of a camera at an eighth of their size, which are enough to see a press."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import simplejpeg
+from numpy.typing import NDArray
+
+from recorder.session.columns import Stream
+from recorder.session.reader import Session
+
+Floats = NDArray[np.floating]
+
+# Factor by which pictures are made smaller, if that leaves enough pixels along each side; and
+# fewest of these.
+SMALLER, FEWEST = 8, 8
+
+
+def small_size(stream: Stream) -> tuple[int, int]:
+    """Return height and width of the smaller pictures of a camera."""
+    image = stream.layout.image
+    height, width = (0, 0) if image is None else image.column.shape[:2]
+    factor = SMALLER if min(height, width) >= SMALLER * FEWEST else 1
+    return height // factor, width // factor
+
+
+def smaller(stream: Stream, rows: Sequence[int], broken: dict[int, str]) -> Floats:
+    """Return pictures of a camera (n, h, w), grey and of `small_size`.
+
+    Rows that cannot be decoded are added to `broken`, and are as those before them, or NaN.
+    """
+    height, width = small_size(stream)
+    small = np.zeros((len(rows), height, width), np.float32)
+    if stream.jpeg_shape is None:
+        for k, row in enumerate(rows):
+            (image,) = stream.images([row])
+            factor = len(image) // height
+            image = image[: height * factor, : width * factor]
+            shape = height, factor, width, factor * image.shape[2]
+            small[k] = image.reshape(shape).mean(axis=(1, 3))
+        return small
+    good = 0
+    for k, (row, data) in enumerate(zip(rows, stream.jpegs(rows), strict=True)):
+        try:
+            image = simplejpeg.decode_jpeg(data, "GRAY", True, True, height, width)
+            small[k], good = image[:height, :width, 0], k
+        except ValueError as error:
+            broken[row] = f"cannot be decoded: {error}"
+            small[k] = small[good] if k else np.nan
+    return small
+
+
+def reference_rows(session: Session, name: str) -> list[int]:
+    """Return rows of the pictures without contact."""
+    column = session.columns.get(name)
+    rows = np.asarray(session.reference.get(column, ()) if column else (), np.int64)
+    return [int(row) for row in rows if 0 <= row < len(session.streams[name])]
