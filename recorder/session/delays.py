@@ -73,7 +73,8 @@ def beyond_noise(moved: NDArray[np.floating]) -> Level:
 
     Rows whose change is not known are NaN.
     """
-    noise = np.nanquantile(moved, 0.02)
+    known = moved[np.isfinite(moved)]
+    noise = float(np.quantile(known, 0.02)) if known.size else 0.0
     size = np.sqrt(np.maximum(np.square(moved, dtype=np.float64) - noise**2, 0.0))
     return lambda rows: size[rows.start : rows.stop : rows.step]
 
