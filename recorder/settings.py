@@ -100,7 +100,7 @@ class Pose:
 class Reader:
     """Builds dataclasses from mappings."""
 
-    error: type[ValueError]
+    error: type[Exception]
     """Raised for every invalid key or value."""
     stored: bool = False
     """True for values stored by a program: SI under the names of the fields, infinity as `inf`."""
@@ -166,7 +166,7 @@ class Reader:
         unit = self._unit(each)
         return f"{each.name}_{unit}" if unit else each.name
 
-    def _wrong(self, where: str, value: Any, allowed: str) -> ValueError:
+    def _wrong(self, where: str, value: Any, allowed: str) -> Exception:
         return self.error(f"{where}: found {describe(value)}; allowed: {allowed}")
 
     def _fields(self, kind: type) -> Iterator[tuple[str, dataclasses.Field[Any]]]:
@@ -365,7 +365,7 @@ _KINDS: dict[type[Any], str] = {str: "text ", list: "the list ", dict: "the mapp
 class _StrictLoader(yaml.SafeLoader):
     """Loader that rejects a repeated key; PyYAML would silently keep the second."""
 
-    error: type[ValueError]
+    error: type[Exception]
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         keys: set[Any] = set()
@@ -397,7 +397,7 @@ def yaml_text(content: Mapping[str, Any]) -> str:
     return yaml.dump(content, Dumper=_StrictDumper, sort_keys=False)
 
 
-def parse(text: str, name: str, error: type[ValueError]) -> Any:
+def parse(text: str, name: str, error: type[Exception]) -> Any:
     """Return the content of a YAML text; `name` is its origin, for messages of an `error`."""
     try:
         loader = _StrictLoader(text)
@@ -421,7 +421,7 @@ def _in_one_line(error: yaml.MarkedYAMLError) -> str:
 
 
 def read_mapping(
-    path: Path, error: type[ValueError], library: Path | None, above: tuple[Path, ...] = ()
+    path: Path, error: type[Exception], library: Path | None, above: tuple[Path, ...] = ()
 ) -> dict[str, Any]:
     """Return the mapping in a YAML file, merged over the file named by its `extends`.
 

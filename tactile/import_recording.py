@@ -26,6 +26,7 @@ from recorder.convert import (
 from recorder.errors import SessionError
 from recorder.progress import ItemProgress
 from recorder.session import Session
+from recorder.settings import Reader
 from tactile import import_genforce
 
 _NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")
@@ -41,10 +42,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
         "Finds out what files and folders hold (videos, folders of images, CSV, NPY, NPZ, MCAP, "
-        "rosbags, LeRobot, uSkin logs), finds the contacts, draws a page to approve and writes "
-        "sessions. Asks for what the files do not tell; without a terminal it names the option. "
-        "A folder of the GenForce recordings becomes a marker archive, repeat the command to "
-        "continue; a file of their weights (.pkl, .pth) the folder of a trained model."
+        "rosbags, LeRobot, uSkin logs; other tables and HDF5 with --columns), finds the contacts, "
+        "draws a page to approve and writes sessions. Asks for what the files do not tell; "
+        "without a terminal it names the option. A folder of the GenForce recordings becomes a "
+        "marker archive, repeat the command to continue; a file of their weights (.pkl, .pth) the "
+        "folder of a trained model."
     )
     add = parser.add_argument
     add("paths", nargs="+", type=Path, metavar="PATH", help="files or folders of recordings")
@@ -165,6 +167,9 @@ def _drafts(
         imported = Session(options.like).attrs.get("imported", {})
         answers = Answers.from_json(imported.get("answers"), str(options.like))
     values = {each.name: getattr(options, each.name, None) for each in fields(Answers)}
+    mappings = [Path(each) for each in options.columns or ()]
+    read = Reader(SessionError).read
+    values["columns"] = [(path.name, read(path)) for path in mappings] or None
     answers = answers.with_values({name: each for name, each in values.items() if each is not None})
     _require_rates(answers, stated, options.paths)
     while True:

@@ -163,8 +163,8 @@ def _film(path: Path, topic: str, source: str, entry: _Topic, t_ns: Any) -> Film
             if sample is not None:
                 yield sample[1] if entry.jpeg else _pixels(sample[1])
 
-    about = "times by its own stamps", "the camera's bytes"
-    return film_of_pictures(source, entry.values, t_ns, load, jpeg=entry.jpeg, about=about)
+    times = "times by its own stamps"
+    return film_of_pictures(source, entry.values, t_ns, load, jpeg=entry.jpeg, times=times)
 
 
 def _messages(path: Path, only: str | None = None) -> Iterator[tuple[str, str, int, Any]]:

@@ -1,7 +1,6 @@
 """Find out what files and folders hold, and which of them are one recording."""
 
 import json
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,40 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.convert import import_bags
-from recorder.convert.import_numbers import (
-    POSE_AXES,
-    counts_of,
-    kind_of_array,
-    load_arrays,
-    numbers_of,
-    read_lines,
-    read_rows,
-    read_table,
-    wrenches_of,
-)
+from recorder.convert.import_columns import Table, from_start, read_table, tables_of
+from recorder.convert.import_numbers import counts_of, kind_of_array, load_arrays, numbers_of
 from recorder.convert.import_tracks import (
     KINDS,
     Answers,
     As,
     MissingAnswer,
-    Numbers,
     Part,
     RecordedTrack,
     Take,
     Times,
     bare_name,
-    every,
     named,
-    option_flag,
     problems,
-    rate_of,
-    rate_option,
+    row_times,
     whole_ns,
 )
 from recorder.convert.import_video import IMAGE_SUFFIXES, open_film
 from recorder.errors import SessionError
 from recorder.natural_order import naturally_sorted
-from recorder.spec import AXES
 
 VIDEO_SUFFIXES = (".avi", ".mp4", ".m4v", ".mkv", ".mov", ".webm", ".mpg", ".mpeg")
 LOG_SUFFIXES = (".jsonl", ".log", ".txt")
@@ -77,9 +62,10 @@ def find_takes(
                 left_out.append(f"{path.name}: left out as stated")
                 continue
             suffix = path.suffix.lower()
-            is_recording = _is_film(path) or suffix in (".npy", ".npz", ".csv", *LOG_SUFFIXES)
-            if not is_recording or (suffix in LOG_SUFFIXES and not _is_uskin_log(path)):
-                left_out.append(f"{path.name}: left out, no recording that is known")
+            is_recording = _is_film(path) or suffix in (".npy", ".npz", ".csv")
+            is_log = suffix in LOG_SUFFIXES and _is_uskin_log(path)
+            if not (is_recording or is_log or tables_of(path, answers.columns)):
+                left_out.append(f"{path.name}: left out, no recording that is known; see --columns")
                 continue
             name = bare_name(_stem(path)) or path.parent.name or "recording"
             groups.setdefault(name, []).append(("video" if _is_film(path) else kind, "", path))
@@ -92,6 +78,10 @@ def find_takes(
         if stated:
             stem = _stem(next(filter(_is_video, stated), stated[0])[2])
             groups.setdefault(bare_name(stem) or stem, []).extend(stated)
+        files = [path for group in groups.values() for *_, path in group]
+        for mapping in answers.columns:
+            if not any(tables_of(path, [mapping]) for path in files):
+                raise SessionError(f"{mapping[0]}.files: fits no file; allowed: a pattern of names")
         for name, group in groups.items():
             takes.append(_take(name, group, answers, part))
     if not takes:
@@ -150,6 +140,7 @@ def _is_uskin_log(path: Path) -> bool:
 
 def _take(name: str, files: Sequence[_File], answers: Answers, part: Part) -> Take:
     """Return the recording of some files; numbers may have the times of its videos."""
+    films: list[RecordedTrack] = []
     tracks: list[RecordedTrack] = []
     files = sorted(files, key=lambda file: not _is_video(file))
     for stated, stream, path in files:
@@ -157,20 +148,22 @@ def _take(name: str, files: Sequence[_File], answers: Answers, part: Part) -> Ta
             if stated == "video":
                 rate = answers.rate("video", stream)
                 film = open_film(path, rate, stills=answers.stills and path.is_dir())
-                tracks.append(RecordedTrack(stream, "video", film, path.name, path.name))
+                films.append(RecordedTrack(stream, "video", film, path.name, path.name))
             elif path.is_file():
-                tracks += _numbers(path, stated, stream, tracks, answers)
+                tracks += _numbers(path, stated, stream, films, answers)
             else:
                 raise SessionError(f"{path}: no such file")
-    return Take(name, named(tracks), tuple(path for _, _, path in files))
+    return Take(name, named([*films, *from_start(tracks)]), tuple(path for _, _, path in files))
 
 
 def _numbers(
     path: Path, stated: As | None, stream: str, films: Sequence[RecordedTrack], answers: Answers
 ) -> Iterator[RecordedTrack]:
     suffix = path.suffix.lower()
-    if suffix == ".csv":
-        yield from _csv(path, stream, films, answers)
+    tables = tables_of(path, answers.columns)
+    if tables or suffix == ".csv":
+        for table in tables or [Table()]:
+            yield from read_table(path, table, stream, films, answers)
     elif suffix in LOG_SUFFIXES:
         array, times = _uskin_log(path)
         counts = counts_of(path.name, array, times, answers.taxel_order)
@@ -201,61 +194,10 @@ def _array(
             f"{source}: an array {array.shape} whose name does not tell what it holds",
             [f"{source}={each}" for each in KINDS if each != "video"],
         )
-    times, clock, message = _times(source, len(array), kind, stream, films, answers)
+    times, clock, messages = row_times(source, len(array), kind, stream, films, answers)
     content = numbers_of(source, array, times, kind, answers)
-    content.assumed.insert(0, message)
+    content.assumed[:0] = messages
     return RecordedTrack(stream, kind, content, source, clock)
-
-
-def _times(
-    source: str, count: int, kind: As, stream: str, films: Sequence[RecordedTrack], answers: Answers
-) -> tuple[Times, str, str]:
-    """Return times and clock of rows without times, and a message on where they come from."""
-    rate = answers.rate(kind, stream)
-    if rate is not None:
-        flag = option_flag(rate_option(kind))
-        return every(range(count), rate), source, f"{source}: {rate:g} rows/s by {flag}"
-    for film in films:
-        if film.kind == "video" and len(film.content.t_ns) == count:
-            message = f"{source}: as many rows as its video has images, so at their times"
-            return film.content.t_ns, film.clock, message
-    raise MissingAnswer(rate_option(kind), f"{source}: {count} rows say no times")
-
-
-def _csv(
-    path: Path, stream: str, films: Sequence[RecordedTrack], answers: Answers
-) -> Iterator[RecordedTrack]:
-    name, lines = path.name, read_lines(path)
-    if len(lines[0]) == 48:
-        header = re.fullmatch(r"[-+.\deE\s]+", lines[0][0]) is None
-        rows = read_rows(name, lines, list(range(48)), int(header))
-        yield _array(name, rows, "taxels", stream, films, answers)
-        return
-    columns, t_ns = read_table(name, lines, answers)
-    # Columns of forces come first: their rate is that of the file.
-    axes = [axis for axis in AXES if axis in columns]
-    kind: As = "force" if axes else "width"
-    rate = answers.rate(kind, stream)
-    clock, assumed = name, []
-    if t_ns is None:
-        t_ns, clock, message = _times(name, len(lines) - 1, kind, stream, films, answers)
-        assumed = [message]
-    elif rate is not None:
-        raise SessionError(f"{name}: has a time column; --force-hz does not go with it")
-    rows_hz = rate_of(t_ns)
-    if axes:
-        value = np.stack([columns.get(axis, np.full(len(t_ns), np.nan)) for axis in AXES], axis=1)
-        wrenches = wrenches_of(name, value, axes, t_ns, rate or rows_hz, assumed)
-        yield RecordedTrack(stream, "force", wrenches, name, clock)
-    if "width" in columns:
-        width = Numbers(columns["width"][:, None], t_ns, rows_hz, [*assumed])
-        yield RecordedTrack("width", "width", width, name, clock)
-    missing = [axis for axis in POSE_AXES if axis not in columns]
-    if not missing:
-        rows = np.stack([columns[axis] for axis in POSE_AXES], axis=1)
-        yield RecordedTrack("pose", "pose", Numbers(rows, t_ns, rows_hz, [*assumed]), name, clock)
-    elif len(missing) < len(POSE_AXES):
-        raise SessionError(f"{name}: found part of a pose; {', '.join(missing)} missing")
 
 
 # Logs of XELA's server: one message of JSON a line, as it sends them.

@@ -6,11 +6,10 @@ thousand times finer than the resolution of such gauges. Counts of taxels are ro
 integers that the device transmits. The largest change is reported.
 """
 
-import csv
 import math
 import re
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +28,7 @@ from recorder.convert.import_tracks import (
     TaxelOrder,
     Times,
     kind_of_name,
-    option_flag,
     rate_of,
-    whole_ns,
 )
 from recorder.errors import SessionError
 from recorder.session.align import rotation_vector
@@ -56,7 +53,7 @@ def numbers_of(name: str, array: NDArray[Any], t_ns: Times, kind: As, answers: A
     if kind == "taxels":
         return counts_of(name, array, t_ns, answers.taxel_order)
     rows = np.asarray(array, np.float64).reshape(len(array), -1)
-    _require_finite(rows, name)
+    require_finite(rows, name)
     assumed: list[str] = []
     if kind == "pose":
         rows, assumed = _poses(name, rows)
@@ -102,19 +99,22 @@ def require_size(path: Path, nbytes: int) -> None:
         raise SessionError(f"{path.name}: holds {nbytes} bytes; allowed in its size: {allowed}")
 
 
-def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Return the numbers of an .npy or .npz file by source: the file, and in an .npz the array."""
+def load_arrays(path: Path, only: Collection[str] = ()) -> dict[str, NDArray[Any]]:
+    """Return the numbers of an .npy or .npz file by source: the file, and in an .npz the array.
+
+    `only` are the names of arrays in an .npz; without them all.
+    """
     if zipfile.is_zipfile(path):
         with zipfile.ZipFile(path) as file:
             require_size(path, sum(member.file_size for member in file.infolist()))
             if not file.namelist() or len(set(file.namelist())) < len(file.namelist()):
                 raise SessionError(f"{path.name}: found no array, or two of one name")
     content = np.load(path, allow_pickle=False)
-    if isinstance(content, np.ndarray):
-        arrays = {path.name: content}
-    else:
-        with content:
-            arrays = {f"{path.name}:{name}": np.asarray(content[name]) for name in content}
+    inner = {"": content} if isinstance(content, np.ndarray) else content
+    if missing := sorted({*only} - {*inner}):
+        raise SessionError(f"{path.name}: found no array {missing}; it has {', '.join(inner)}")
+    names = dict.fromkeys(only or inner)
+    arrays = {f"{path.name}:{name}".removesuffix(":"): np.asarray(inner[name]) for name in names}
     for source, array in arrays.items():
         if array.dtype.kind not in "iuf":
             raise SessionError(f"{source}: found no array of numbers")
@@ -123,29 +123,12 @@ def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def _require_finite(rows: Floats, name: str, first_line: int = 0) -> None:
+def require_finite(rows: Floats, name: str, first_line: int = 0) -> None:
     """Refuse rows (n, k) with NaN or infinity; lines are counted from `first_line`, if not 0."""
     bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
     if bad.size:
         row_name = f"line {bad[0] + first_line}" if first_line else f"row {bad[0]}"
         raise SessionError(f"{name}: {row_name}: NaN or infinite ({bad.size} such rows)")
-
-
-# Tables of CSV files. Names of columns and their units are parsed strictly, without guessing.
-
-_COLUMN = re.compile(
-    r"^(?P<name>[A-Za-z]+)(?:\s*[(\[]\s*(?P<unit>[^)\]]+?)\s*[)\]]|_(?P<tail>\w+))?$"
-)
-_TIMES = ("t", "time", "timestamp")
-# Axis or `t`, units, and the answer that has the unit of columns without one, by word.
-_WORDS: dict[str, tuple[str, dict[str, float], str]] = {
-    **{word: ("t", TIME_UNITS, "") for word in _TIMES},
-    **{axis.lower(): (axis, FORCE_UNITS, "units") for axis in AXES[:3]},
-    **{axis.lower(): (axis, TORQUE_UNITS, "torque_units") for axis in AXES[3:]},
-    **{axis.lower(): (axis, LENGTH_UNITS, "") for axis in POSE_AXES[:3]},
-    **{axis.lower(): (axis, ANGLE_UNITS, "") for axis in POSE_AXES[3:]},
-    **{word: ("width", LENGTH_UNITS, "") for word in ("width", "opening")},
-}
 
 
 def parse_unit(text: str, factors: dict[str, float], where: str) -> float:
@@ -155,100 +138,6 @@ def parse_unit(text: str, factors: dict[str, float], where: str) -> float:
         if plain == name.replace(" ", ""):
             return factor
     raise SessionError(f"{where}: found unit {text!r}; allowed: {', '.join(factors)}")
-
-
-def parse_header(
-    names: Sequence[str], answers: Answers, where: str
-) -> list[tuple[str, float] | None]:
-    """Return the axis (or `t`) and factor of columns named as `Fx (N)`; None for an ignored one."""
-    columns: list[tuple[str, float] | None] = []
-    for raw in names:
-        name = raw.strip().lstrip("\ufeff").strip("'\"# ")
-        if name in answers.ignore:
-            columns.append(None)
-        else:
-            columns.append(_column(name, answers, f"{where}: column {name!r}"))
-    meanings = [column[0] for column in columns if column is not None]
-    twice = sorted({name for name in meanings if meanings.count(name) > 1})
-    if twice:
-        raise SessionError(f"{where}: column {twice[0]} comes twice")
-    if not set(meanings) & {*AXES, "width", *POSE_AXES}:
-        raise SessionError(f"{where}: no force column; known: {', '.join(AXES)}")
-    return columns
-
-
-def _column(name: str, answers: Answers, where: str) -> tuple[str, float]:
-    match = _COLUMN.match(name)
-    column_name = match["name"].lower() if match else ""
-    if match is None or column_name not in _WORDS:
-        raise SessionError(
-            f"{where}: not known; allowed: {', '.join(AXES)}, each with its unit, as Fx (N), and "
-            f"{', '.join(_TIMES)} with theirs; leave others out with --ignore NAME"
-        )
-    meaning, units, option = _WORDS[column_name]
-    unit = match["unit"] or match["tail"] or (getattr(answers, option) if option else None)
-    if unit is not None:
-        return meaning, parse_unit(unit, units, where)
-    cure = f"allowed: {', '.join(units)}"
-    if option:
-        cure = f"say {option_flag(option)} ({', '.join(units)})"
-    elif meaning == "t":
-        cure = f"name it such as {name}_s or {name} (ms)"
-    raise SessionError(f"{where}: says no unit; {cure}")
-
-
-def read_lines(path: Path) -> list[list[str]]:
-    """Return the words of a CSV file, line by line, the first of which may be a header."""
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        lines = list(csv.reader(file))
-    if len(lines) < 2:
-        raise SessionError(f"{path.name}: found {len(lines)} lines; expected a header and rows")
-    return lines
-
-
-def read_table(
-    name: str, lines: list[list[str]], answers: Answers
-) -> tuple[dict[str, Floats], Times | None]:
-    """Return the columns of a CSV file that its header names, and its times since the first row.
-
-    The columns (n,) are the axes of `AXES` and `POSE_AXES`, and `width`, in SI units; the times are
-    in ns, None without a time column.
-    """
-    header = parse_header(lines[0], answers, name)
-    rows = read_rows(name, lines, [at for at, each in enumerate(header) if each is not None])
-    columns: dict[str, Floats] = {}
-    t_ns = None
-    for column, meaning in enumerate(header):
-        if meaning is None:
-            continue
-        quantity, factor = meaning
-        if quantity == "t":
-            t_ns = whole_ns((rows[:, column] - rows[0, column]) * factor, f"{name}: line", 2)
-        else:
-            columns[quantity] = rows[:, column] * factor
-    return columns, t_ns
-
-
-def read_rows(name: str, lines: list[list[str]], used: list[int], first: int = 1) -> Floats:
-    """Return the numbers of the lines from `first` on; 0 in columns that are not used."""
-    rows = np.zeros((len(lines) - first, len(lines[0])))
-    for row, line in enumerate(lines[first:]):
-        number = row + first + 1
-        if len(line) != len(lines[0]):
-            raise SessionError(
-                f"{name}: line {number}: found {len(line)} values, the header has "
-                f"{len(lines[0])}; is the file cut short?"
-            )
-        for column in used:
-            try:
-                rows[row, column] = float(line[column])
-            except ValueError:
-                raise SessionError(
-                    f"{name}: line {number}: {lines[0][column].strip()}: found {line[column]!r}, "
-                    "expected a number"
-                ) from None
-    _require_finite(rows, name, first + 1)
-    return rows
 
 
 # Forces in whole counts, as a gauge sends them.
@@ -272,14 +161,14 @@ def _forces(name: str, numbers: NDArray[Any], t_ns: Times, answers: Answers) -> 
     array = numbers.astype(np.float64).reshape(len(numbers), -1)
     newton = parse_unit(answers.units, FORCE_UNITS, "--units")
     measured = ~np.isnan(array).all(axis=0)
-    _require_finite(array[:, measured] if measured.any() else array, name)
+    require_finite(array[:, measured] if measured.any() else array, name)
     value = np.full((len(array), 6), np.nan)
-    assumed = [f"{name}: {answers.units} by --units"]
+    axes, messages = [AXES[column] for column in np.flatnonzero(measured).tolist()], []
     if array.shape[1] == 1:
-        value[:, 2] = -array[:, 0] * newton
-        assumed.append(f"{name}: one force, positive when pressing, stored as -Fz")
-        return wrenches_of(name, value, ["Fz"], t_ns, rate_of(t_ns), assumed)
-    value[:, :3] = array[:, :3] * newton
+        value[:, 2], axes = -array[:, 0] * newton, ["Fz"]
+        messages = [f"{name}: one force, positive when pressing, stored as -Fz"]
+    else:
+        value[:, :3] = array[:, :3] * newton
     if array.shape[1] == 6:
         if answers.torque_units is None:
             raise SessionError(
@@ -287,14 +176,7 @@ def _forces(name: str, numbers: NDArray[Any], t_ns: Times, answers: Answers) -> 
             )
         factor = parse_unit(answers.torque_units, TORQUE_UNITS, "--torque-units")
         value[:, 3:] = array[:, 3:] * factor
-    axes = [AXES[column] for column in np.flatnonzero(measured).tolist()]
-    return wrenches_of(name, value, axes, t_ns, rate_of(t_ns), assumed)
-
-
-def wrenches_of(
-    name: str, value: Floats, axes: list[str], t_ns: Times, rate_hz: float, assumed: list[str]
-) -> Numbers:
-    """Return forces (n, 6) [N, N m] in whole counts, of measured axes, and messages."""
+    rate_hz = rate_of(t_ns)
     fine = np.nanmax(np.abs(value[:, 3:]), initial=0.0) * 1e3 * COUNTS_PER_UNIT <= _COUNTS_MAX
     scale = np.repeat([1.0 / COUNTS_PER_UNIT, (1e-3 if fine else 1.0) / COUNTS_PER_UNIT], 3)
     counts = np.rint(value / scale)
@@ -308,12 +190,12 @@ def wrenches_of(
     change = np.abs(counted - value)
     force, torque = (float(np.nanmax(part, initial=0.0)) for part in (change[:, :3], change[:, 3:]))
     missing = [axis for axis in AXES if axis not in axes]
-    messages = [
-        *assumed,
-        *([f"{name}: {', '.join(missing)} not measured, stored as NaN"] if missing else []),
+    if missing:
+        messages.append(f"{name}: {', '.join(missing)} not measured, stored as NaN")
+    messages.append(
         f"{name}: rounded to 1e-6 N and {'1e-9' if fine else '1e-6'} N m; "
-        f"largest change {force:.2g} N, {torque:.2g} N m",
-    ]
+        f"largest change {force:.2g} N, {torque:.2g} N m"
+    )
     device = {
         "device": "imported",
         "force_unit": "N",

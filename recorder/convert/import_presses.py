@@ -73,15 +73,21 @@ class Signal:
     pressing: Floats | None = None
     """Pressing force (n,) [N], the larger the harder; None if the signal has no direction."""
 
+    def within(self, span: Span) -> "Signal":
+        """Return the part of the signal in a span."""
+        inside = (self.t_ns >= span[0]) & (self.t_ns < span[1])
+        pressing = None if self.pressing is None else self.pressing[inside]
+        return Signal(self.name, self.t_ns[inside], self.rows[inside], pressing)
+
     def change(self, no_contact: Span) -> Trace:
         """Return the size of the change from a span."""
-        inside = (self.t_ns >= no_contact[0]) & (self.t_ns < no_contact[1])
-        if not inside.any():
+        free = self.within(no_contact).rows
+        if not len(free):
             raise SessionError(
                 f"--no-contact: {NS * no_contact[0]:.3f} to {NS * no_contact[1]:.3f} s holds no "
                 f"sample of {self.name}"
             )
-        rest = self.rows[inside].mean(axis=0)
+        rest = free.mean(axis=0)
         size = np.abs(self.rows - rest)
         value = np.linalg.norm(size, axis=1) if self.pressing is not None else size.mean(axis=1)
         return Trace(self.name, self.t_ns, np.asarray(value, np.float64))

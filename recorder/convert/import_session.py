@@ -283,6 +283,10 @@ def _contacts(
         signal = sensed or signal
     if signal is None:
         raise SessionError(f"{take.name}: found neither images nor taxels nor forces")
+    # Nothing is looked for while a track has not begun, or has ended.
+    start = max(int(track.content.t_ns[0]) for track in take.tracks)
+    last = min(int(track.content.t_ns[-1]) for track in take.tracks) + 1
+    signal = signal.within((start, last))
     pressed = answers.spans("press", take.name)
     if pressed == ["none"]:
         beginning = signal.t_ns[: max(1, min(5, len(signal.t_ns) // 4))]
@@ -303,8 +307,6 @@ def _contacts(
         )
     around = sensed or signal
     step = float(np.median(np.diff(around.t_ns))) if len(around.t_ns) > 1 else 0.0
-    start = max(int(track.content.t_ns[0]) for track in take.tracks)
-    last = min(int(track.content.t_ns[-1]) for track in take.tracks) + 1
     wide = widened(presses, start, min(last, end_ns), round(_AROUND * step))
     return no_contact, [each for each in wide if each.start_ns < each.peak_ns < each.end_ns], trace
 
@@ -358,7 +360,7 @@ def _require_sign(source: str, forces: Numbers, no_contact: Span, presses: Seque
         raise SessionError(
             f"{source}: Fz rises to {touched.max():+.3g} N under contact; a session "
             "has negative Fz there; turn the sign of the file's forces (all axes turn with the "
-            "frame), or import the pressing force alone as one column"
+            "frame; --columns has sign: -1), or import the pressing force alone as one column"
         )
 
 

@@ -144,6 +144,9 @@ class Answers:
         None, f"of torques: {', '.join(TORQUE_UNITS)}", metavar="UNIT"
     )
     width_unit: str | None = _answer(None, "of the width of a gripper", choices=("m", "mm"))
+    columns: tuple[Any, ...] = _answer(
+        (), "what the columns of tables are (YAML)", action="append", metavar="FILE"
+    )
     ignore: tuple[str, ...] = _answer(
         (), "leave out this CSV column", action="append", metavar="NAME"
     )
@@ -402,6 +405,23 @@ def rate_of(t_ns: NDArray[np.int64]) -> float:
     rate = round(1e9 / step, 3)
     # Times are whole nanoseconds, which rates such as 60 Hz do not divide.
     return rate if rate > 0 and abs(1e9 / rate - step) < 1.0 else 1e9 / step
+
+
+def row_times(
+    source: str, count: int, kind: As, stream: str, films: Sequence[RecordedTrack], answers: Answers
+) -> tuple[Times, str, list[str]]:
+    """Return times and clock of rows without times, and messages on where they come from."""
+    rate = answers.rate(kind, stream)
+    if rate is not None:
+        flag = option_flag(rate_option(kind))
+        return every(range(count), rate), source, [f"{source}: {rate:g} rows/s by {flag}"]
+    for film in films:
+        if film.kind == "video" and len(film.content.t_ns) == count:
+            message = f"{source}: as many rows as its video has images, so at their times"
+            return film.content.t_ns, film.clock, [message]
+    if kind == "video" and answers.stills:
+        return every(range(count), 1.0), source, [f"{source}: rows numbered one second apart"]
+    raise MissingAnswer(rate_option(kind), f"{source}: {count} rows say no times")
 
 
 def whole_ns(times: Floats, where: str, first: int) -> Times:

@@ -138,6 +138,7 @@ def _standard_tables() -> bytes:
 
 # Rows, columns [px] and bits per channel; 32 are floats.
 Size = tuple[int, int, int]
+_Load = Callable[[], Iterator[Any]]
 # How pixels are stored, by their bits per channel.
 _STORED = {
     8: "decoded and stored as pixels, losslessly",
@@ -161,32 +162,16 @@ def open_film(path: Path, fps: float | None, *, stills: bool = False) -> Film:
     motion = read_avi(path)
     if motion is None:
         return _decoded(path, fps)
-    return _jpegs(path.name, motion.frames, fps or motion.rate_hz, by_option=fps is not None)
-
-
-def _jpegs(name: str, frames: list[bytes], rate_hz: float, *, by_option: bool) -> Film:
-    assumed = [f"{name}: {rate_hz:g} images/s by {'--fps' if by_option else 'its header'}"]
-    numbers = [number for number, frame in enumerate(frames) if frame]
+    name, rate_hz, by = path.name, fps or motion.rate_hz, "--fps" if fps else "its header"
+    numbers = [number for number, frame in enumerate(motion.frames) if frame]
+    dropped = len(motion.frames) - len(numbers)
     if not numbers:
-        raise SessionError(f"{name}: no image in any of its {len(frames)} frames")
-    if len(numbers) < len(frames):
-        assumed.append(
-            f"{name}: {len(frames) - len(numbers)} dropped frames, left out in their time"
-        )
-    jpegs: list[bytes] = []
-    sizes: list[Size] = []
-    mended = 0
-    with problems() as part:
-        for number in numbers:
-            with part(where := f"{name}: frame {number}"):
-                jpeg, changed = whole_jpeg(frames[number], where)
-                jpegs.append(jpeg)
-                sizes.append(size_of_picture(where, jpeg))
-                mended += changed
-    if mended:
-        assumed.append(f"{name}: standard Huffman tables put into {mended} images that had none")
-    shape = _same_size(sizes, name)[:2]
-    return Film("jpeg", shape, rate_hz, every(numbers, rate_hz), lambda: iter(jpegs), assumed)
+        raise SessionError(f"{name}: no image in any of its {dropped} frames")
+    files = [(f"{name}: frame {number}", motion.frames[number]) for number in numbers]
+    film = film_of_files(name, files, every(numbers, rate_hz), f"{rate_hz:g} images/s by {by}")
+    if dropped:
+        film.assumed.append(f"{name}: {dropped} dropped frames, left out in their time")
+    return replace(film, rate_hz=rate_hz)
 
 
 def _folder(path: Path, fps: float | None, stills: bool) -> Film:
@@ -200,29 +185,13 @@ def _folder(path: Path, fps: float | None, stills: bool) -> Film:
             "of its own"
         )
     rate_hz = 1.0 if stills or fps is None else fps
-    if all(file.suffix.lower() in _JPEG_SUFFIXES for file in files):
-        film = _jpegs(path.name, [file.read_bytes() for file in files], rate_hz, by_option=True)
-        film.assumed.append(f"{path.name}: in order of the names, {files[0].name} first")
-    else:
-        sizes: list[Size] = []
-        with problems() as part:
-            for file in files:
-                with part(file.name):
-                    sizes.append(size_of_picture(file.name, file))
-        rate = "" if stills else f"{rate_hz:g} images/s by --fps, "
-        film = film_of_pictures(
-            path.name,
-            sizes,
-            every(range(len(files)), rate_hz),
-            lambda: (pixels_of_picture(file.name, file) for file in files),
-            jpeg=False,
-            about=(f"{rate}in order of the names, {files[0].name} first", ""),
-        )
-        film = replace(film, rate_hz=rate_hz)
-    if not stills:
-        return film
-    numbering = f"{path.name}: single pictures without times, numbered one second apart"
-    return replace(film, assumed=[numbering, film.assumed[-1]], names=[file.name for file in files])
+    times = f"{rate_hz:g} images/s by --fps"
+    if stills:
+        times = "single pictures without times, numbered one second apart"
+    times += f", in order of the names, {files[0].name} first"
+    named = [(file.name, file) for file in files]
+    film = film_of_files(path.name, named, every(range(len(files)), rate_hz), times)
+    return replace(film, rate_hz=rate_hz, names=[file.name for file in files] if stills else [])
 
 
 def _decoded(path: Path, fps: float | None) -> Film:
@@ -293,25 +262,49 @@ def _stamped(
 
 
 def film_of_pictures(
-    source: str,
-    sizes: Sequence[Size],
-    t_ns: Times,
-    load: Callable[[], Iterator[Any]],
-    *,
-    jpeg: bool,
-    about: tuple[str, str],
+    source: str, sizes: Sequence[Size], t_ns: Times, load: _Load, *, jpeg: bool, times: str
 ) -> Film:
-    """Return pictures of a source with times of its own.
+    """Return pictures of a source with times of its own; `times` says where these are from.
 
-    `load` yields JPEG bytes, if `jpeg`, else pixels; `about` says where times and such bytes are
-    from.
+    `load` yields the bytes of JPEG files, if `jpeg`, else pixels.
     """
     height, width, bits = _same_size(sizes, source)
-    assumed = [f"{source}: {about[0]}, {about[1] if jpeg else _STORED[bits]}"]
+    assumed = [f"{source}: {times}, {'bytes as they were' if jpeg else _STORED[bits]}"]
     if bits > 8:
         load = _in_8_bits(source, 65535 if bits == 16 else 1, load)
     codec = "jpeg" if jpeg else "zstd"
     return Film(codec, (height, width), rate_of(t_ns), t_ns, load, assumed)
+
+
+def film_of_files(
+    source: str, files: Sequence[tuple[str, Path | bytes]], t_ns: Times, times: str
+) -> Film:
+    """Return pictures by name and file at times (n,) [ns]; if all are JPEG, as they are."""
+    jpeg = all(
+        file[:2] == JPEG if isinstance(file, bytes) else file.suffix.lower() in _JPEG_SUFFIXES
+        for _, file in files
+    )
+    sizes: list[Size] = []
+    mended = 0
+    with problems() as part:
+        for name, file in files:
+            with part(name):
+                sizes.append(size_of_picture(name, file))
+                mended += jpeg and whole_jpeg(_bytes(file), name)[1]
+
+    def load() -> Iterator[Any]:
+        for name, file in files:
+            yield whole_jpeg(_bytes(file), name)[0] if jpeg else pixels_of_picture(name, file)
+
+    film = film_of_pictures(source, sizes, t_ns, load, jpeg=jpeg, times=times)
+    if mended:
+        text = f"{source}: standard Huffman tables put into {mended} images that had none"
+        film.assumed.append(text)
+    return film
+
+
+def _bytes(file: Path | bytes) -> bytes:
+    return file if isinstance(file, bytes) else file.read_bytes()
 
 
 # Pixels of the largest picture; decoded, it takes 100 MB.
@@ -363,9 +356,7 @@ def pixels_of_picture(name: str, picture: Path | bytes) -> Any:
         return pixels if bits == 8 else pixels * np.uint16(257)
 
 
-def _in_8_bits(
-    name: str, full: int, load: Callable[[], Iterator[Any]]
-) -> Callable[[], Iterator[Any]]:
+def _in_8_bits(name: str, full: int, load: _Load) -> _Load:
     """Return `load` with pictures scaled from `full` to 255, all by one factor."""
     spans = np.array([(image.min(), image.max()) for image in load()])
     low, high = float(spans[:, 0].min()), float(spans[:, 1].max())

@@ -35,13 +35,7 @@ from recorder.convert.import_tracks import (
     require_rate,
     whole_ns,
 )
-from recorder.convert.import_video import (
-    JPEG,
-    film_of_pictures,
-    open_film,
-    pixels_of_picture,
-    size_of_picture,
-)
+from recorder.convert.import_video import film_of_files, open_film
 from recorder.convert.runs import RecordedPress, need_presses, utc_offset
 from recorder.errors import SessionError
 from recorder.progress import ReportItems
@@ -526,15 +520,8 @@ def _film(
         if not all(isinstance(each, bytes) for each in images):
             raise SessionError(f"{path.name}: {name}: episode {episode}: an image has no bytes")
         source = f"{path.name}:{name}"
-        jpeg = all(each[:2] == JPEG for each in images)
-        return film_of_pictures(
-            source,
-            [size_of_picture(source, each) for each in images],
-            times,
-            lambda: (each if jpeg else pixels_of_picture(source, each) for each in images),
-            jpeg=jpeg,
-            about=("times of the data set", "the files' bytes"),
-        )
+        files = [(f"{source}: row {row}", each) for row, each in zip(rows, images, strict=True)]
+        return film_of_files(source, files, times, "times of the data set")
     chunk = episode // int(info.get("chunks_size", 1000))
     fields = {"video_key": name, "episode_chunk": chunk, "episode_index": episode}
     start = 0.0

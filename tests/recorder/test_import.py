@@ -13,7 +13,8 @@ from PIL import Image
 
 from recorder import Session, SessionError, check, faults
 from recorder.convert import Answers, As, draft_recordings, write_sessions
-from recorder.convert.import_numbers import counts_of, parse_header, parse_unit
+from recorder.convert.import_columns import parse_header
+from recorder.convert.import_numbers import counts_of, parse_unit
 from recorder.convert.import_tracks import FORCE_UNITS, TORQUE_UNITS, TaxelOrder, every
 from recorder.convert.import_video import read_avi, whole_jpeg
 from recorder.session.sheet import contact_sheet
