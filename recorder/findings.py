@@ -53,6 +53,7 @@ WARNINGS = {
     "force-time": "a gauge that shows presses at other times than the arm",
     "image-time": "pictures or taxels that show presses at other times than force or arm",
     "dead-taxel": "a taxel that always has one value while others change",
+    "control": "a press that is repeated at the end, with another force or picture",
 }
 # Codes of the notes on a session: limits of what it can tell, which are no faults of its data.
 NOTES: dict[str, str] = {

@@ -581,4 +581,5 @@ TARGET_UNITS: Mapping[str, tuple[str, str]] = {
     "depth": ("m", "planned indentation"),
     "direction": ("1", "number of the shear direction, 0 along +x, counter-clockwise; -1 for none"),
     "planned": ("m", "planned place of the tip at full shear, in the robot's base frame"),
+    "control": ("1", "row of the target that this press repeats, outside of the plan; -1 for none"),
 }

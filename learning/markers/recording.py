@@ -58,7 +58,7 @@ class Recording:
     @property
     def located(self) -> bool:
         """True if all targets have a shear direction, and so locations common to sensors."""
-        return bool((self.session.targets["direction"] >= 0).all())
+        return bool((self.session.plan_targets["direction"] >= 0).all())
 
     @property
     def is_imported(self) -> bool:
@@ -73,7 +73,7 @@ class Recording:
     @property
     def targets(self) -> int:
         """Number of planned targets."""
-        return len(self.session.targets["point"])
+        return len(self.session.plan_targets["point"])
 
     def surface(self) -> NDArray[np.float64]:
         """Return the height of the undeformed surface at each row's target (n,) [m]; 0 if flat."""
@@ -98,7 +98,7 @@ class Recording:
 
     def layout(self) -> NDArray[np.int64]:
         """Return point, depth level and direction of each target (t, 3), which pair sensors."""
-        targets = self.session.targets
+        targets = self.session.plan_targets
         level = np.unique(targets["depth"].round(9), return_inverse=True)[1].reshape(-1)
         columns = [targets["point"], level, targets["direction"]]
         return np.stack([np.asarray(column, np.int64) for column in columns], axis=1)
@@ -250,7 +250,7 @@ def _once(session: Session) -> tuple[Integers, Integers, list[str]]:
     missing = [of for of, press in best.items() if len(np.unique(phase[press])) < expected]
     if missing:
         omitted.append(f"{len(missing)} targets lack a phase, first {min(missing)}; they are kept")
-    unpressed = len(session.targets["point"]) - len(best)
+    unpressed = len(session.plan_targets["point"]) - len(best)
     if unpressed:
         omitted.append(f"{unpressed} targets have no frames")
     none = np.zeros(0, np.int64)
@@ -376,7 +376,7 @@ def _require_alike(recordings: Sequence[Recording]) -> None:
     first: dict[str, Recording] = {}
     for one in located:
         other = first.setdefault(one.sensor, one)
-        depth, due = one.session.targets["depth"], other.session.targets["depth"]
+        depth, due = one.session.plan_targets["depth"], other.session.plan_targets["depth"]
         if not np.allclose(depth, due, atol=1e-9):
             raise LearningError(
                 f"{one.name}: found depths up to {1e3 * depth.max():g} mm, {other.name} of the "
@@ -389,7 +389,7 @@ def _require_same_places(one: Recording, other: Recording) -> None:
     plan, due = one.plan(), other.plan()
     if plan is None or due is None:
         return
-    count = int(one.session.targets["direction"].max())
+    count = int(one.session.plan_targets["direction"].max())
     if count * abs(plan.angle_step - due.angle_step) > ANGLE_TOLERANCE:
         raise LearningError(
             f"{one.name}: found shear directions {math.degrees(plan.angle_step):g} deg apart, "
@@ -398,7 +398,7 @@ def _require_same_places(one: Recording, other: Recording) -> None:
         )
     for name in ("layout", "order"):
         own, expected = getattr(plan, name), getattr(due, name)
-        if own != expected and (one.session.targets["point"] > 1).any():
+        if own != expected and (one.session.plan_targets["point"] > 1).any():
             raise LearningError(
                 f"{one.name}: found {name} {own!r} of points, {other.name} has {expected!r}; "
                 f"allowed: the same {name}, or an archive for each plan, joined by place with "

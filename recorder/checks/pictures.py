@@ -39,6 +39,8 @@ DELAY, BETTER, AGREE, LONGEST = 0.35, 0.02, 0.5, 1.0
 STILL, SHOWS = 1.3, 4.0
 # Time after a phase at which its last picture has arrived [s].
 LATE = 0.12
+# Way of the picture beside the gel from which something has slipped [px].
+SLIPPED = 0.5
 # Ways in which pictures are turned.
 TURNS: dict[str, Callable[[Floats], Floats]] = {
     "by 180 degrees": lambda image: image[..., ::-1, ::-1],
@@ -54,7 +56,8 @@ def pictures(presses: Presses) -> Iterator[Testimony]:
         stream = session.streams[name]
         if len(stream) < 4 or min(small_size(stream)) < FEWEST:
             continue
-        looked = _looked(stream, reference_rows(session, name))
+        resting = reference_rows(session, name)
+        looked = presses.looked[name] = _looked(stream, resting, presses.looked.get(name))
         for run in range(1, len(session.runs)):  # pictures of two runs are no neighbours
             begin = session.rows_of_run(name, run).start or 0
             looked.change[max(begin - 1, 0) : begin] = 0.0
@@ -62,6 +65,7 @@ def pictures(presses: Presses) -> Iterator[Testimony]:
         yield from _broken(name, looked)
         yield from _dark(name, looked)
         yield from _turned(name, looked)
+        yield from _aside(presses, name)
         if stream.rate_hz >= SLOW:
             pushed = _pushed(presses, name)
             yield from _exchanged(name, looked, pushed)
@@ -96,6 +100,8 @@ class Looked:
     """Contrast of the reference, or of the median picture."""
     broken: dict[int, str]
     """Rows that cannot be decoded, and why."""
+    last: Floats
+    """The last two pictures."""
 
     @property
     def noise(self) -> float:
@@ -104,14 +110,18 @@ class Looked:
         return float(np.quantile(some, 0.2)) if some.size else 0.0
 
 
-def _looked(stream: Stream, resting: list[int]) -> Looked:
-    broken: dict[int, str] = {}
+def _looked(stream: Stream, resting: list[int], begun: Looked | None) -> Looked:
+    """Return the numbers of all pictures; `begun` has those of the first ones."""
+    size = small_size(stream)
+    before = np.zeros((0, *size), np.float32) if begun is None else begun.last
+    broken = {} if begun is None else begun.broken
     reference = smaller(stream, resting, {}).mean(axis=0) if resting else None
-    turns = [] if reference is None else [turn(reference) for turn in TURNS.values()]
-    parts: dict[str, list[Floats]] = {name: [] for name in Looked.__dataclass_fields__}
-    before = np.zeros((0, *small_size(stream)), np.float32)
-    held = min(HELD, 4 + HELD_PIXELS // math.prod(small_size(stream)))
-    for first in range(0, len(stream), held):
+    turns = [reference if reference is None else turn(reference) for turn in TURNS.values()]
+    columns = Looked.__dataclass_fields__.keys() - {"usual", "broken", "last"}
+    parts = {name: [] if begun is None else [getattr(begun, name)] for name in columns}
+    done = 0 if begun is None else len(begun.contrast)
+    held = min(HELD, 4 + HELD_PIXELS // math.prod(size))
+    for first in range(done, len(stream), held):
         some = smaller(stream, range(first, min(first + held, len(stream))), broken)
         parts["contrast"].append(some.std(axis=(1, 2)))
         parts["level"].append(some.mean(axis=(1, 2)))
@@ -128,7 +138,7 @@ def _looked(stream: Stream, resting: list[int]) -> Looked:
     usual = max(
         float(np.median(whole["contrast"])), 0.0 if reference is None else float(reference.std())
     )
-    return Looked(**whole, usual=usual, broken=broken)
+    return Looked(**whole, usual=usual, broken=broken, last=before)
 
 
 def _rms(images: Floats) -> Floats:
@@ -294,6 +304,29 @@ def _still(presses: Presses, name: str, looked: Looked) -> Iterator[Testimony]:
                 f"{found[k][1] + 1} is pressed, from row {found[k][2]}: it repeats itself"
             ),
         )
+
+
+def _aside(presses: Presses, name: str) -> Iterator[Testimony]:
+    """Pictures before a control press that lie aside of the first one at its point."""
+    control = next(iter(presses.session.controls), None)
+    if control is None:
+        return
+    rows = reference_rows(presses.session, name, presses.planned("point", control))
+    ways = [_way(presses.session.streams[name], (rows[0], row)) for row in rows[1:]]
+
+    def text(k: int) -> str:
+        where = f"row {rows[k + 1]} lies {ways[k]:.2g} px aside of row {rows[0]}"
+        return f"{where}, both without contact: slipped mount, torn skin, or drift"
+
+    yield from most(np.array(ways) / SLIPPED, "control", f"streams/{name}", text)
+
+
+def _way(stream: Stream, rows: tuple[int, int]) -> float:
+    """Return how far the first of two pictures is moved in the other [px], in any light."""
+    one, other = np.nan_to_num(smaller(stream, rows, {}))
+    basis = np.stack([*np.gradient(one), one, np.ones_like(one)], axis=-1).reshape(-1, 4)
+    way = np.hypot(*np.linalg.lstsq(basis, other.ravel(), rcond=None)[0][:2])
+    return float(way * (stream.value_column or one).shape[0] / len(one))
 
 
 # Noise of a taxel's axis over that of others at rest below which it is dead, and the least such

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from operator import itemgetter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,20 +30,26 @@ Floats = NDArray[np.float64]
 Witness = Callable[[Presses], Iterator[Testimony]]
 
 
-def statements(session: Session, *, images: bool = True) -> Iterator[Testimony]:
+def statements(
+    session: Session, *, images: bool = True, looked: dict[str, Any] | None = None
+) -> Iterator[Testimony]:
     """Yield the testimonies of all witnesses, doubtful or not; without `images` none is decoded."""
-    presses = Presses(session)
+    presses = Presses(session, looked)
     for witness in (*WITNESSES, *(OF_IMAGES if images else ())):
         with np.errstate(all="ignore"):
             yield from witness(presses)
 
 
-def doubts(session: Session, *, images: bool = True) -> Iterator[Finding]:
+def doubts(
+    session: Session, *, images: bool = True, looked: dict[str, Any] | None = None
+) -> Iterator[Finding]:
     """Yield the warnings of a session, and faults of pictures that no reader decodes.
 
-    Without `images` no picture is looked at.
+    Without `images` no picture is looked at. `looked`, given again with a session that has grown,
+    keeps what its pictures showed.
     """
-    return (one.finding for one in statements(session, images=images) if one.doubtful)
+    seen = statements(session, images=images, looked=looked)
+    return (one.finding for one in seen if one.doubtful)
 
 
 # The gauge.
@@ -56,6 +63,8 @@ CLEAR_LEAST, CLEAR_OF_PEAK = 0.3, 0.05
 PRESSED = 0.3
 # Largest factor of a force beside the expected interval, and beside other presses of its depth.
 SCALE, BESIDE = 3.0, 3.0
+# Change of the force of a control press, over it, and the least one [N].
+CHANGED, CHANGED_LEAST = 0.05, 0.05
 # Known factors between units, by the one that was taken for a newton.
 UNITS = {
     "mN (1000)": 1e3,
@@ -252,6 +261,29 @@ def _beside(presses: Presses, tops: list[tuple[float, float, Phase]]) -> Iterato
         )
 
     yield from most(doubt, "scale", _where(presses), text)
+
+
+def control(presses: Presses) -> Iterator[Testimony]:
+    """Control presses with another force than any press of their place and depth."""
+    controls, point = presses.session.controls, presses.session.targets.get("point", ())
+    tops = [
+        (depth, point[one.target], force, one.target) for depth, force, one in _deepest(presses)
+    ]
+    doubt, found = [], []
+    for *place, force, target in tops:
+        alike = [usual for *at, usual, of in tops if at == place and of not in controls]
+        if target in controls and alike:
+            low, high = min(alike), max(alike)
+            # A skin relaxes from press to press; how much is known of several.
+            part = CHANGED if len(alike) >= 3 else 2 * CHANGED
+            limit = max(part * high, CHANGED_LEAST, NOISE * float(presses.sigma[2]))
+            doubt.append(abs(force - min(max(force, low), high)) / limit)
+            found.append(f"{force:.3g} N, others of its place and depth {low:.3g} to {high:.3g} N")
+
+    def text(worst: int) -> str:
+        return f"the control press takes {found[worst]}: slipped mount, torn skin, or drift"
+
+    yield from most(doubt, "control", _where(presses), text)
 
 
 def _deepest(presses: Presses) -> list[tuple[float, float, Phase]]:
@@ -530,5 +562,6 @@ WITNESSES: tuple[Witness, ...] = (
     places,
     force_timing,
     taxels,
+    control,
 )
 OF_IMAGES: tuple[Witness, ...] = (pictures,)

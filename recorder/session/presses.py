@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,8 +82,10 @@ class Phase:
 class Presses:
     """Streams of a session that its presses are in."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: Session, looked: dict[str, Any] | None = None) -> None:
         self.session = session
+        self.looked = {} if looked is None else looked
+        """Numbers of the pictures of each camera, kept while a session grows."""
         self._places: dict[int, tuple[Times, Floats]] = {}
 
     @cached_property

@@ -263,6 +263,18 @@ class Session:
                 return self.streams[name].rate_hz
         raise SessionError(f"{self.name}: no stream has a rate; set rate_hz")
 
+    @cached_property
+    def controls(self) -> dict[int, int]:
+        """Rows of `targets` that repeat another one to compare them, and which row each repeats."""
+        repeats = np.asarray(self.targets.get("control", ()))
+        return {int(row): int(repeats[row]) for row in np.flatnonzero(repeats >= 0)}
+
+    @property
+    def plan_targets(self) -> dict[str, Array]:
+        """Columns of `targets`, of the plan's own: without `controls`, which are the last rows."""
+        last = -len(self.controls) or None
+        return {name: values[:last] for name, values in self.targets.items()}
+
     @property
     def columns(self) -> dict[str, str]:
         """Column of `frames` and `reference` by stream, in order; see `spec.frame_columns`."""
@@ -346,7 +358,7 @@ class Session:
         return +lost
 
     def run_ticks(self, rate_hz: float) -> Iterator[tuple[int, Times, NDArray[np.int64]]]:
-        """Yield each run with its ticks and the segment of each tick."""
+        """Yield each run with its ticks and the segment of each tick; none of a control press."""
         segments = self.segments
         # Sessions made elsewhere may have no targets; a table with corrupt chunks still has them.
         if not any(self.targets.declared_rows(name) for name in self.targets):
@@ -356,8 +368,9 @@ class Session:
                     ticks = grid(span[0], span[0], span[1] + 1, rate_hz)
                 yield run, ticks, np.full(len(ticks), -1, np.int64)
             return
-        for run in np.unique(segments["run"]):
-            of_run = np.flatnonzero(segments["run"] == run)
+        planned = ~np.isin(segments["target"], list(self.controls))
+        for run in np.unique(segments["run"][planned]):
+            of_run = np.flatnonzero(planned & (segments["run"] == run))
             of_run = of_run[np.argsort(segments["start_ns"][of_run], kind="stable")]
             starts, ends = segments["start_ns"][of_run], segments["end_ns"][of_run]
             anchor = int(starts[0])

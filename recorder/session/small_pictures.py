@@ -50,8 +50,9 @@ def smaller(stream: Stream, rows: Sequence[int], broken: dict[int, str]) -> Floa
     return small
 
 
-def reference_rows(session: Session, name: str) -> list[int]:
-    """Return rows of the pictures without contact."""
-    column = session.columns.get(name)
-    rows = np.asarray(session.reference.get(column, ()) if column else (), np.int64)
+def reference_rows(session: Session, name: str, point: float | None = None) -> list[int]:
+    """Return rows of the pictures without contact, above all points or one."""
+    column, reference = session.columns.get(name), session.reference
+    rows = np.asarray(reference.get(column, ()) if column else (), np.int64)
+    rows = rows if point is None else rows[np.asarray(reference["point"])[: len(rows)] == point]
     return [int(row) for row in rows if 0 <= row < len(session.streams[name])]

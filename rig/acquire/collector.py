@@ -6,8 +6,8 @@ import logging
 import math
 import platform
 import sys
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -23,6 +23,7 @@ from recorder.command_line.errors import (
 from recorder.command_line.options import next_command
 from recorder.command_line.terminal import paint, table
 from recorder.errors import SessionError
+from recorder.findings import Finding
 from recorder.session import (
     Session,
     SessionWriter,
@@ -36,6 +37,7 @@ from recorder.session import (
 from rig.acquire.calibration.store import Calibration
 from rig.acquire.completed import first_open_target, left_out_of
 from rig.acquire.control import Control, Interlocks, Interrupted, InterruptFlag, Onlooker
+from rig.acquire.live_checks import LiveChecks
 from rig.acquire.plan_runner import LiveLine, PlanRunner, last_line, rise_clear, zero_stand_ins
 from rig.acquire.streams import Streams, check_clear, check_devices, notes_on, take_tares
 from rig.bench.bench import Bench
@@ -57,7 +59,7 @@ from rig.core.names import operator_name
 from rig.devices.arm import dashboard
 from rig.devices.arm.arm import Arm
 from rig.devices.force.settings import AXES
-from trajectories import Plan, Target, plan_from_json, plan_to_json
+from trajectories import Plan, PressShear, Target, plan_from_json, plan_to_json
 
 logger = logging.getLogger(__name__)
 
@@ -71,6 +73,8 @@ _EXIT_CODES: dict[type[BaseException], int] = {
     SessionError: EXIT_DEVICE_LOST,
     OSError: EXIT_DEVICE_LOST,
 }
+# Fewest targets of a session with a control press, and the least force to expect of it [N].
+_TARGETS, _FORCE = 4, 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +99,8 @@ class CollectRequest:
     """Earlier calibration that applies to this session."""
     left_out: Mapping[int, float] = field(default_factory=dict)
     """Targets that the bench cannot record, with the force that they would take [N]."""
+    control: int | None = None
+    """Target that is pressed again at the end, to compare both; None: none is."""
     contact_change: float = math.inf
     """Change of the signal that ends an approach on a bench without a gauge, in standard
     deviations of its noise; inf: none does."""
@@ -126,11 +132,13 @@ class CollectRequest:
         if resume:
             plan, total = _resumed(path, bench)
             others["left_out"] = left_out_of(Session(path).attrs)
+            others["control"] = next(iter(Session(path).controls.values()), None)
         if not 1 <= total <= len(plan):
             raise ConfigError(f"--targets: found {total}; allowed: 1 to {len(plan)}")
         walked = bench.check_limits(plan)
         if not resume:
             others["left_out"] = left_out(bench, plan, walked.depths[:total])
+            others["control"] = _controlled(bench, plan, {*range(total)} - {*others["left_out"]})
         out = others["left_out"]
         if unknown := [index + 1 for index in again if not 0 <= index < total or index in out]:
             but = " without those left out" * bool(out)
@@ -145,19 +153,34 @@ class CollectRequest:
         return max(depth for index, depth in enumerate(depths) if index not in self.left_out)
 
     def to_press(self, first: int) -> tuple[Target, ...]:
-        """Return the targets of this run in order: those to press again, and those from `first`."""
-        return tuple(
+        """Return the targets of this run in order: those to press again, and those from `first`.
+
+        The control press, if there is one, is the last; its number is that after all others.
+        """
+        targets = list(self.plan.targets())
+        pressed = [
             target
-            for target in self.plan.targets()
+            for target in targets
             if (first <= target.index < self.total and target.index not in self.left_out)
             or target.index in self.again
-        )
+        ]
+        control = targets[self.control : self.control + 1] if self.control is not None else []
+        return (*pressed, *(replace(target, index=self.total) for target in control))
 
     def is_complete(self) -> bool:
         """Return True if the session has nothing to resume: it was closed with all targets done."""
         session = Session(self.path)
         first = first_open_target(self.plan, session.segments, self.total, self.left_out)
         return first == self.total and session.status == "complete"
+
+
+def _controlled(bench: Bench, plan: Plan, pressed: Collection[int]) -> int | None:
+    """Return which of the targets that are pressed is repeated: the first of the deepest."""
+    if not (bench.control_press and isinstance(plan, PressShear) and len(pressed) >= _TARGETS):
+        return None
+    targets = (target for target in plan.targets() if target.index in pressed)
+    deepest = max(targets, key=lambda target: target.depth)
+    return deepest.index if bench.expected.at(deepest.depth)[0] >= _FORCE else None
 
 
 def _resumed(path: Path, bench: Bench) -> tuple[Plan, int]:
@@ -211,6 +234,8 @@ class Collector:
         started_ns = self._clock.now_ns()
         with InterruptFlag() as interrupt, contextlib.ExitStack() as stack:
             control = Control(interrupt)
+            checks = LiveChecks(request.path)
+            stack.callback(checks.close)
             streams = stack.enter_context(
                 Streams(self._bench, self._folder, self._clock, self._watch)
             )
@@ -246,7 +271,7 @@ class Collector:
             targets = request.to_press(first)
             order = [target.index for target in targets]
             planned = self._bench.seconds(request.plan)[: request.total]
-            live = LiveLine(streams, planned, pressing=order)
+            live = LiveLine(streams, planned, pressing=order, new=checks.new)
             if self._page is not None:
                 self._page.begin(control, live.progress, request.path, first)
             zeros = {name: tare["mean"] - self._bias[name] for name, tare in tares.items()}
@@ -276,6 +301,7 @@ class Collector:
                 live.end()
                 logger.error("stopping: %s", str(stop) or type(stop).__name__)
             interrupt.ignore()
+            live.tell()
             live.end()
             if self._page is not None:
                 self._page.say("ending")
@@ -287,7 +313,8 @@ class Collector:
                     reason += "; THE ARM WAS NOT RETRACTED"
             try:
                 done = sum(index not in request.left_out for index in range(first))
-                done += sum(target.index >= first for target in targets[: runner.done])
+                pressed = targets[: runner.done]
+                done += sum(first <= target.index < request.total for target in pressed)
                 summaries = self._close(streams, writer, status, reason, done)
             except SessionError as error:
                 print(error, file=sys.stderr)
@@ -295,7 +322,7 @@ class Collector:
             if stop is not None and not isinstance(stop, tuple(_EXIT_CODES)):
                 raise stop
         seconds = (self._clock.now_ns() - started_ns) / 1e9
-        self._show(request.path, summaries)
+        self._show(request.path, summaries, live.doubts)
         line = last_line(
             status,
             reason,
@@ -361,7 +388,7 @@ class Collector:
                     )
                     for row in self._bench.rows
                 ],
-                targets=target_table(request.plan, request.total, self._bench),
+                targets=target_table(request.plan, request.total, self._bench, request.control),
             )
             first, run = 0, 0
         writer.begin_run(begun)
@@ -433,8 +460,8 @@ class Collector:
             ) from error
         return summaries
 
-    def _show(self, path: Path, summaries: dict[str, Any]) -> None:
-        """Print what was recorded, with a contact sheet."""
+    def _show(self, path: Path, summaries: dict[str, Any], known: Sequence[Finding]) -> None:
+        """Print what was recorded, with a contact sheet, and doubts that are not `known`."""
         session, picture = Session(path), path.with_suffix(".png")
         print(cadence(self._bench, session, summaries))
         try:
@@ -449,7 +476,10 @@ class Collector:
             logger.warning("no contact sheet: %s", error)
         try:
             for doubt in doubts(session, images=False):
-                print(paint(str(doubt), doubt.level))
+                if (doubt.code, doubt.where) not in {(one.code, one.where) for one in known}:
+                    print(paint(str(doubt), doubt.level))
+            if known:
+                print(paint(f"warnings during the recording, above: {len(known)}", "warning"))
         except (SessionError, OSError) as error:
             logger.warning("no warnings: %s", error)
 
@@ -503,14 +533,22 @@ def _or_null(values: np.ndarray) -> list[float | None]:
     return [float(value) if np.isfinite(value) else None for value in values]
 
 
-def target_table(plan: Plan, total: int, bench: Bench) -> dict[str, np.ndarray]:
-    """Return a session's `targets`: point, depth [m], direction, planned place in the base [m]."""
+def target_table(
+    plan: Plan, total: int, bench: Bench, control: int | None = None
+) -> dict[str, np.ndarray]:
+    """Return a session's `targets`: point, depth [m], direction, planned place in the base [m].
+
+    The last row is a press that repeats the target `control`, if there is one.
+    """
     targets = [target for target in plan.targets() if target.index < total]
+    again = [] if control is None else [control]
+    targets += [targets[index] for index in again]
     return {
         "point": np.array([target.point for target in targets], dtype=np.int16),
         "depth": np.array([target.depth for target in targets]),
         "direction": np.array([target.direction for target in targets], dtype=np.int16),
         "planned": transform(bench.contact_frame, [target.sheared for target in targets]),
+        "control": np.array([-1] * total + again, np.int32),
     }
 
 

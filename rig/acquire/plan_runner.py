@@ -18,6 +18,7 @@ import numpy as np
 
 from recorder.command_line.terminal import paint
 from recorder.errors import SessionError
+from recorder.findings import Finding
 from recorder.progress import CountDown, duration
 from recorder.session import SessionWriter
 from recorder.spec import OUTCOMES, frame_columns, reference_spec
@@ -43,8 +44,9 @@ class LiveLine:
     """Progress of a collection: target, phase, depth, force, losses, and the time left.
 
     `planned` is the predicted duration of each target [s], of which this run presses those of
-    `pressing`. Their time changes the prediction for the rest, which counts like three
-    targets; one that took much longer than the others changes it little.
+    `pressing`; a control press takes as long as the last. Their time changes the prediction for the
+    rest, which counts like three targets; one that took much longer than the others changes it
+    little. `new` returns what is newly found doubtful.
     """
 
     def __init__(
@@ -54,18 +56,22 @@ class LiveLine:
         *,
         pressing: Sequence[int] | None = None,
         out: TextIO | None = None,
+        new: Callable[[], Iterable[Finding]] = tuple,
     ) -> None:
-        self._streams = streams
+        self._streams, self._new = streams, new
+        self.doubts: list[Finding] = []
+        """Findings that were said."""
         self._clock = streams.clock
         self._line = PacedLine(
             out or sys.stdout, _ON_TERMINAL_NS, _IN_LOG_NS, partial(logger.info, "%s")
         )
-        self._planned = planned
+        self.count = len(planned)
+        """Number of targets; a control press has this one, counted from 0."""
+        self._planned = [*planned, planned[-1]]
         order = range(len(planned)) if pressing is None else pressing
         # Predicted duration of the targets from each one on, in this run [s].
-        self._from = dict(
-            zip(reversed(order), accumulate(planned[each] for each in reversed(order)), strict=True)
-        )
+        took = accumulate(self._planned[each] for each in reversed(order))
+        self._from = dict(zip(reversed(order), took, strict=True))
         # Predicted and measured duration of the targets that this run has pressed [s].
         prior = _PRIOR * sum(planned) / len(planned)
         self._predicted = self._measured = prior
@@ -107,7 +113,15 @@ class LiveLine:
 
     def ended(self, target: Target, outcome: str) -> None:
         """Record the outcome of a target: done or limited."""
-        self._ended[target.index] = outcome
+        self._ended |= {target.index: outcome} if target.index < self.count else {}
+        self.tell()
+
+    def tell(self) -> None:
+        """Say what is newly found doubtful."""
+        for doubt in self._new():
+            self.end()
+            logger.warning("%s", doubt)
+            self.doubts.append(doubt)
 
     def progress(self) -> dict[str, Any]:
         """Return the monitoring page's data: `Snapshot` fields, `ended`, `waiting`; thread-safe."""
@@ -115,10 +129,11 @@ class LiveLine:
         if target is None:
             return {"left": self._seconds_left()}
         return {
-            "target": target.index,
+            "target": target.index if target.index < self.count else -1,
             "phase": self._phase(move),
             "left": self._seconds_left(),
             "ended": dict(self._ended),
+            "doubts": tuple(self.doubts),
             "waiting": bool(self._waiting),
         }
 
@@ -138,7 +153,7 @@ class LiveLine:
         x, y, z = tip_position(self._streams)
         depth = dome_height(self._streams.bench.dome_radius, x, y) - z
         return [
-            f"target {target.index + 1}/{len(self._planned)}",
+            f"target {min(target.index + 1, self.count)}/{self.count}",
             f"{self._phase(self._move):<10}",
             f"{1e3 * depth:.2f} of {1e3 * target.depth:.2f} mm",
             self._streams.pressing(),
@@ -265,6 +280,9 @@ class PlanRunner:
     def press(self, targets: Iterable[Target]) -> None:
         """Press targets of the plan, one after the other."""
         for target in targets:
+            if target.index >= self._live.count:
+                logger.info("control press: point %d again", target.point)
+                self._point = None  # with another reference, after a similar rest
             self._live.at(target, None)
             limited = self.limited
             while not self._attempt(target):

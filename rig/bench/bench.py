@@ -299,6 +299,8 @@ class Bench:
     streams with the names of their keys, and the arm's poses are the stream `pose`."""
     hold: float = field(default=0.0, metadata={"unit": "ms", "plausible": (10, 600_000)})
     """Time at rest after each recorded move that ends in contact [s]: for gauges that settle."""
+    control_press: bool = True
+    """True: each collection ends with one of its deepest presses again, to compare both."""
     skin: Skin | None = None
     """Skin of the sensor, of which forces are expected before a session."""
     stand_ins: StandIns | None = None

@@ -22,6 +22,7 @@ import numpy as np
 
 from recorder.command_line.options import next_command
 from recorder.errors import SessionError
+from recorder.findings import Finding
 from recorder.session import Session
 from recorder.store import ImageTail, open_tail
 from rig.acquire.collector import CollectRequest
@@ -155,6 +156,8 @@ class Snapshot:
     """Sources of the current pause requests."""
     log: tuple[str, ...] = ()
     """Log lines since the previous snapshot."""
+    doubts: tuple[Finding, ...] = ()
+    """Findings of the recording so far."""
     command: str = ""
     """Command that leads on from the end, if a session was kept."""
 
@@ -345,6 +348,7 @@ class CollectionView(LiveView):
     def news(self, sent: Counter[str], clients: Mapping[str, int]) -> list[dict[str, Any] | bytes]:
         """Return the state, with new points and log lines, and the new images."""
         now = self._snapshot
+        doubts = [QualityRow(each.code, "watch", each.message) for each in now.doubts]
         state: dict[str, Any] = {
             "kind": "state",
             **asdict(now),
@@ -352,7 +356,7 @@ class CollectionView(LiveView):
             "forces": self.forces(),
             "tips": self.tips(),
             "taxels": self.taxels(),
-            "quality": [asdict(each) for each in self._quality],
+            "quality": [asdict(each) for each in (*self._quality, *doubts)],
             "traces": {name: trace.news(sent, name) for name, trace in self.traces.items()},
             "log": self._log.news(sent, "log"),
             "images": self.images(),

@@ -119,7 +119,7 @@ class Finished:
     def about(self, path: str) -> dict[str, Any]:
         """Return a session's constants, and its targets."""
         session, row = self.session(path), self.row(path)
-        frames, targets = session.frames, session.targets
+        frames, targets = session.frames, session.plan_targets
         count, summary = len(frames["t_ns"]), session.attrs.get("summary") or {}
         plan = _plan(session)
         points = _points(session, plan)
@@ -257,7 +257,7 @@ def _points(session: Session, plan: Plan | None) -> dict[int, list[float]]:
 
 def _outcomes(session: Session, plan: Plan | None) -> str:
     """Return one of LETTERS for each target."""
-    count, segments = len(session.targets.get("point", ())), session.segments
+    count, segments = len(session.plan_targets.get("point", ())), session.segments
     limited = set(segments["target"][segments["outcome"] == FORCE_LIMITED].tolist())
     pressed = {int(target) for target in np.unique(segments["target"])}
     done = pressed if plan is None else finished_targets(plan, segments, count)

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 import simplejpeg
-from support.sessions import DEPTH, Columns, make_session
+from support.sessions import DEPTH, T0, Columns, make_session
 
 from recorder.checks import plausible
 from recorder.checks.check import check
+from recorder.session import SessionWriter
 from recorder.session.reader import Session
 
 Edit = Callable[[Columns], Any]
@@ -199,6 +200,53 @@ def test_forces_are_held_against_those_expected_of_the_skin(tmp_path: Path) -> N
         assert [one.doubtful for one in seen] == [doubtful]
         if doubtful:
             assert f"({factor:.4g})"[:4] in seen[0].finding.message
+
+
+def controlled(path: Path, stream: str = "", edit: Callable[[Any], Any] = lambda row: row) -> Path:
+    """Record four presses at one place, and a control press of which a stream is edited."""
+
+    def change(name: str, rows: Columns) -> Columns:
+        if name == stream:
+            first = int(np.searchsorted(rows["t_ns"], T0 + 6_000_000_000))
+            rows["value"] = [*rows["value"][:first], *map(edit, rows["value"][first:])]
+        return rows
+
+    targets = {"point": np.zeros(5, np.int16), "depth": np.full(5, DEPTH)}
+    targets["control"] = np.array([-1] * 4 + [0], np.int32)
+    make_session(path, seconds=LONG, change=change, finish=False, targets=targets)
+    first = {name: values[0] for name, values in Session(path).reference.items()}
+    with SessionWriter.resume(path) as writer:
+        writer.reference.append(**{**first, "image": 384, "t_ns": T0 + 6_400_000_000})
+        writer.finish("complete", rate_hz=40)
+    return path
+
+
+def aside(jpeg: bytes) -> bytes:
+    return simplejpeg.encode_jpeg(np.roll(simplejpeg.decode_jpeg(jpeg), 1, axis=1), quality=90)
+
+
+@pytest.mark.parametrize(
+    ("stream", "edit", "where"),
+    [
+        ("force", lambda wrench: 1.03 * wrench, None),
+        ("force", lambda wrench: 0.9 * wrench, "streams/force/value"),
+        ("camera", aside, "streams/camera"),
+    ],
+)
+def test_a_control_press_that_differs_is_named(
+    tmp_path: Path, stream: str, edit: Callable[[Any], Any], where: str | None
+) -> None:
+    assert warned(controlled(tmp_path / "s.zarr", stream, edit)).get("control") == where
+
+
+def test_a_control_press_is_no_target_of_the_plan(tmp_path: Path) -> None:
+    path = controlled(tmp_path / "s.zarr")
+    session = Session(path)
+    seen = [one.doubt for one in plausible.statements(session) if one.finding.code == "control"]
+    assert (len(seen), max(seen) < 0.5) == (2, True)
+    assert len(session.plan_targets["point"]) == len(session.targets["point"]) - 1 == 4
+    assert set(session.segments["target"]) == {0, 1, 2, 3, 4} > set(session.frames["target"])
+    assert {each.level for each in check(path)} == {"note"}
 
 
 def test_a_picture_that_no_reader_decodes_is_a_fault(tmp_path: Path) -> None:

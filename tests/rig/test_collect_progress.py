@@ -4,6 +4,7 @@ import io
 import logging
 import math
 from contextlib import nullcontext
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,12 +18,15 @@ from support.collecting import pressed_session
 
 from benchmarks.fake_clock import FakeClock
 from recorder import OUTCOMES
-from rig.acquire.collector import CollectRequest
+from recorder.findings import Finding
+from rig.acquire.collector import CollectRequest, target_table
 from rig.acquire.completed import first_open_target
 from rig.acquire.plan_runner import LiveLine
 from rig.acquire.stream_process import COUNTERS
 from rig.acquire.streams import Streams
+from rig.bench.bench import BenchFile
 from rig.cli import recording
+from rig.core.packaged import BENCHES
 from rig.core.samples import FORCE_LATEST
 from rig.mock.bench import MockBench
 from tactile.__main__ import main
@@ -87,6 +91,24 @@ def test_only_the_wanted_targets_count() -> None:
 def test_targets_are_pressed_again_in_order_before_those_that_are_open() -> None:
     request = CollectRequest(Path("s.zarr"), PLAN, 12, resume=True, again=(5, 2, 9))
     assert [target.index for target in request.to_press(8)] == [2, 5, 8, 9, 10, 11]
+
+
+@pytest.mark.parametrize(
+    ("targets", "switch", "control"),
+    [(6, True, [0]), (240, True, [36]), (3, True, []), (6, False, [])],
+)
+def test_the_first_of_the_deepest_targets_is_pressed_again_at_the_end(
+    targets: int, switch: bool, control: list[int]
+) -> None:
+    bench = replace(BenchFile.read(BENCHES / "gelsight.yaml").bench, control_press=switch)
+    request = CollectRequest.of(bench, Path("s.zarr"), targets=targets)
+    again = request.to_press(2)[targets - 2 :]
+    every = list(request.plan.targets())
+    assert list(again) == [replace(every[index], index=targets) for index in control]
+    table = target_table(request.plan, targets, bench, request.control)
+    assert table.pop("control").tolist() == [-1] * targets + control
+    for column in table.values():
+        np.testing.assert_array_equal(column[targets:], column[control])
 
 
 def test_again_presses_targets_of_a_complete_session_though_nothing_is_open(
@@ -219,6 +241,23 @@ def test_a_resumed_run_counts_its_own_targets_only() -> None:
     line.at(list(WHOLE.targets())[200], None)
     clock.advance(1.0)
     assert line.progress()["left"] == 79.0
+
+
+def test_a_doubt_is_said_once_and_a_control_press_is_no_target(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    found = [Finding("dark", "streams/camera", "row 3")]
+    order = [*range(len(WHOLE)), len(WHOLE)]
+    line, _ = live(Terminal(), pressing=order, new=lambda: [found.pop() for _ in found[:]])
+    first = next(WHOLE.targets())
+    for target in (first, replace(first, index=len(WHOLE))):
+        line.at(target, None)
+        line.ended(target, "done")
+    assert [record.message.split()[0] for record in caplog.records] == ["dark"]
+    progress = line.progress()
+    assert (progress["target"], progress["ended"]) == (-1, {0: "done"})
+    assert 1.0 < progress["left"] <= 2.0
+    assert [each.code for each in progress["doubts"]] == ["dark"]
 
 
 def test_a_terminal_that_is_gone_does_not_stop_the_arm(caplog: pytest.LogCaptureFixture) -> None:
