@@ -14,6 +14,7 @@ five parts, whose squares add up:
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -141,38 +142,27 @@ def _wander(presses: Presses, stream: Stream, phases: list[Phase]) -> tuple[Time
     if len(found) < 2 * _SIDE:
         return still
     delays = since_shown(stream, [one.delay for one in found])
-    fitted = max((_step(delays), _ramp(delays)), key=lambda one: one[0])
-    if fitted[0] < _SIGNIFICANT or np.ptp(fitted[1]) < _LEAST:
+    significance, levels = _changed(delays)
+    if significance < _SIGNIFICANT or np.ptp(levels) < _LEAST:
         return still
-    apart = np.abs(fitted[1] - fitted[1][np.abs(fitted[1]).argmin()])
+    apart = np.abs(levels - levels[np.abs(levels).argmin()])
     # A step lies anywhere between two presses: both sides of it take the larger.
     apart = np.maximum(apart, np.maximum(np.append(apart[1:], 0.0), np.append(0.0, apart[:-1])))
     return np.array([one.t_ns for one in found]), apart
 
 
-def _step(delays: Floats) -> tuple[float, Floats]:
-    """Return the best step in delays (n,): its size over its uncertainty, and the levels (n,)."""
-    best = (0.0, delays * 0.0)
-    for k in range(_SIDE, len(delays) - _SIDE + 1):
-        parts = delays[:k], delays[k:]
-        levels = np.repeat([part.mean() for part in parts], [len(part) for part in parts])
-        size = abs(parts[1].mean() - parts[0].mean())
-        best = max(best, (_over(size, delays - levels, k), levels), key=lambda one: one[0])
+def _changed(delays: Floats) -> tuple[float, Floats]:
+    """Return the best step or ramp in delays (n,) over its uncertainty, and its levels (n,)."""
+    number, best = np.arange(len(delays)), (0.0, delays)
+    steps = [number >= k for k in range(_SIDE, len(delays) - _SIDE + 1)]
+    for shape in (*steps, number):
+        along = shape - shape.mean()
+        levels = delays.mean() + along * (along @ delays) / (along @ along)
+        scatter = np.sqrt(((delays - levels) ** 2).sum() / (len(delays) - 2)) + _LEAST / 4
+        best = max(
+            best, (np.linalg.norm(levels - delays.mean()) / scatter, levels), key=itemgetter(0)
+        )
     return best
-
-
-def _ramp(delays: Floats) -> tuple[float, Floats]:
-    """Return the best ramp in delays (n,), as `_step` does."""
-    number = np.arange(len(delays))
-    slope, level = np.polyfit(number, delays, 1)
-    levels = level + slope * number
-    return _over(float(np.ptp(levels)), delays - levels, len(delays) // 2), levels
-
-
-def _over(size: float, left: Floats, before: int) -> float:
-    """Return a change over its uncertainty by the scatter (n,) beside it and the presses before."""
-    scatter = np.sqrt((left**2).sum() / (len(left) - 2)) + _LEAST / 4
-    return float(size / (scatter * np.sqrt(1 / before + 1 / (len(left) - before))))
 
 
 def since_shown(stream: Columns, delays: Sequence[float]) -> Floats:
