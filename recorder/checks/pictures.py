@@ -9,23 +9,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.checks.directions import sheared, taxel_order
 from recorder.checks.testimony import Testimony, most
 from recorder.checks.timing import timing
 from recorder.findings import Finding
 from recorder.session.align import NS, captured
 from recorder.session.columns import Stream
 from recorder.session.delays import beyond_noise
-from recorder.session.presses import DEEP, DOWN, Presses
+from recorder.session.presses import PRESSED, Presses
 from recorder.session.small_pictures import FEWEST, reference_rows, small_size, smaller
 
 Floats = NDArray[np.floating]
 
 # Pictures that are held at once, and about their pixels.
-HELD, HELD_PIXELS = 256, 1 << 23
+HELD, HELD_PIXELS = 256, 1 << 21
 # Contrast over the usual one below which a picture is dark; and contrast and mean, in grey levels.
 DARK, DARKEST, BLACK = 0.3, 2.0, 30.0
-# How much better a turned picture agrees with the reference (correlation) than as it is.
-TURNED = 0.15
+# How much better a turned picture agrees with the reference (correlation) than as it is, and size
+# of each of its maps, as `Looked.agrees` has them, in grey levels, from which that shows.
+TURNED, VARIED = 0.15, np.array([0.0, 2.0, 2.0, 6.0])
 # Difference of a picture from the middle of its neighbours over that of these, and over the noise.
 ODD, NOISY = 3.0, 8.0
 # Change from one picture to the next over those before and after it, and over the noise; how much
@@ -34,18 +36,20 @@ JUMP, JUMP_NOISY, MORE, SLOW = 7.0, 11.0, 4.0, 20.0
 # Delay of the pictures behind the force [s], how much better both agree with it (correlation), how
 # well at least, and longest delay that is looked for [s].
 DELAY, BETTER, AGREE, LONGEST = 0.35, 0.02, 0.5, 1.0
-# Change of the picture by a press, over the noise, below which it stands still; and that of the
-# other presses from which it would show.
-STILL, SHOWS = 1.3, 4.0
-# Time after a phase at which its last picture has arrived [s].
+# Change of the picture, over the noise, below which it stands still; that of others from which it
+# would show; time in which it changes [s], and the way of the tip in the skin in it [m].
+STILL, SHOWS, HALT, HALT_WAY = 1.3, 4.0, 0.35, 0.4e-3
+# Time after which the last picture of a moment has arrived [s].
 LATE = 0.12
 # Way of the picture beside the gel from which something has slipped [px].
 SLIPPED = 0.5
-# Ways in which pictures are turned.
+EXCHANGED = np.array([1, -1, 1], np.float32)[:, None, None]
+# Ways in which the maps of pictures (3, h, w) are turned.
 TURNS: dict[str, Callable[[Floats], Floats]] = {
-    "by 180 degrees": lambda image: image[..., ::-1, ::-1],
-    "mirrored sideways": lambda image: image[..., ::-1],
-    "mirrored upside down": lambda image: image[..., ::-1, :],
+    "by 180 degrees": lambda maps: maps[..., ::-1, ::-1],
+    "mirrored sideways": lambda maps: maps[..., ::-1],
+    "mirrored upside down": lambda maps: maps[..., ::-1, :],
+    "with red and blue exchanged": lambda maps: maps * EXCHANGED,
 }
 
 
@@ -72,6 +76,7 @@ def pictures(presses: Presses) -> Iterator[Testimony]:
             yield from _jumps(name, looked, pushed)
         if name == session.signal:
             yield from _still(presses, name, looked)
+            yield from sheared(presses, stream, looked.flow)
             yield from _late(presses, name, looked)
             yield from timing(presses, stream, beyond_noise(looked.moved))
 
@@ -84,14 +89,17 @@ class Looked:
     """Spread of grey levels (n,)."""
     level: Floats
     """Their mean (n,)."""
-    as_is: Floats
-    """Correlation with the reference (n,); NaN without one."""
-    turned: Floats
-    """The same with the reference turned in each of `TURNS` (t, n)."""
+    agrees: Floats
+    """Correlation with the reference as it is, and in each of `TURNS` (1 + t, 4, n): by `MAPS` less
+    their means, and red less blue with it; NaN without one, or if it is less than `VARIED`."""
     moved: Floats
     """Difference from the reference (n,), in grey levels, as all differences; NaN without one."""
     change: Floats
     """Difference from the next picture (n - 1,)."""
+    flow: NDArray[np.complexfloating]
+    """Motion to the next picture (n - 1,): to the right, and upwards as its imaginary part [px]."""
+    later: Floats
+    """Difference from the picture after `HALT` (n - m,)."""
     apart: Floats
     """Difference of both neighbours (n - 2,)."""
     odd: Floats
@@ -115,29 +123,34 @@ def _looked(stream: Stream, resting: list[int], begun: Looked | None) -> Looked:
     size = small_size(stream)
     before = np.zeros((0, *size), np.float32) if begun is None else begun.last
     broken = {} if begun is None else begun.broken
-    reference = smaller(stream, resting, {}).mean(axis=0) if resting else None
-    turns = [reference if reference is None else turn(reference) for turn in TURNS.values()]
+    reference = np.full((3, *size), np.nan, np.float32)
+    if resting:
+        some = smaller(stream, resting, {})
+        # Colours of the first: the mean of some that are exchanged has none.
+        reference = np.stack([some[0].mean(axis=0), *some[1:, 0]])
+    references = np.stack([reference, *(turn(reference) for turn in TURNS.values())], axis=1)
     columns = Looked.__dataclass_fields__.keys() - {"usual", "broken", "last"}
     parts = {name: [] if begun is None else [getattr(begun, name)] for name in columns}
+    ahead = max(2, round(HALT * stream.rate_hz))
     done = 0 if begun is None else len(begun.contrast)
     held = min(HELD, 4 + HELD_PIXELS // math.prod(size))
     for first in range(done, len(stream), held):
-        some = smaller(stream, range(first, min(first + held, len(stream))), broken)
+        maps = smaller(stream, range(first, min(first + held, len(stream))), broken)
+        some = maps[0]
         parts["contrast"].append(some.std(axis=(1, 2)))
         parts["level"].append(some.mean(axis=(1, 2)))
-        parts["as_is"].append(_agreement(some, reference))
-        parts["turned"].append(np.array([_agreement(some, turn) for turn in turns]))
-        beside = np.full(len(some), np.nan) if reference is None else _rms(some - reference)
-        parts["moved"].append(beside)
-        some = np.concatenate([before, some])
-        parts["change"].append(_rms(some[1:] - some[:-1])[max(len(before) - 1, 0) :])
+        parts["agrees"].append(_agreement(maps, references))
+        parts["moved"].append(_rms(some - reference[0]))
+        every = np.concatenate([before, some])
+        parts["later"].append(_rms(every[ahead:] - every[:-ahead]))
+        steps, some = (every[max(len(before) - near, 0) :] for near in (1, 2))
+        parts["change"].append(_rms(steps[1:] - steps[:-1]))
+        parts["flow"].append(_flow(steps))
         parts["apart"].append(_rms(some[2:] - some[:-2]))
         parts["odd"].append(_rms(some[1:-1] - 0.5 * (some[2:] + some[:-2])))
-        before = some[-2:]
+        before = every[-ahead:]
     whole = {name: np.concatenate(part, axis=-1) for name, part in parts.items() if part}
-    usual = max(
-        float(np.median(whole["contrast"])), 0.0 if reference is None else float(reference.std())
-    )
+    usual = float(np.fmax(np.median(whole["contrast"]), reference[0].std()))
     return Looked(**whole, usual=usual, broken=broken, last=before)
 
 
@@ -145,14 +158,29 @@ def _rms(images: Floats) -> Floats:
     return np.asarray(np.sqrt((images**2).mean(axis=(1, 2))))
 
 
-def _agreement(small: Floats, other: Floats | None) -> Floats:
-    """Return the correlation of pictures (n, h, w) with another (h, w)."""
-    if other is None:
-        return np.full(len(small), np.nan)
-    flat = small.reshape(len(small), -1) - small.mean(axis=(1, 2))[:, None]
-    one = (other - other.mean()).ravel()
-    sizes = np.linalg.norm(flat, axis=1) * np.linalg.norm(one)
-    return np.asarray(flat @ one / np.maximum(sizes, 1e-9))
+def _flow(images: Floats) -> NDArray[np.complexfloating]:
+    """Return the motion from each picture (n, h, w) to the next (n - 1,), by least squares."""
+    twice, less = images[1:] + images[:-1], (images[:-1] - images[1:])[:, 1:-1, 1:-1]
+    right = 0.25 * (twice[:, 1:-1, 2:] - twice[:, 1:-1, :-2])
+    down = 0.25 * (twice[:, 2:, 1:-1] - twice[:, :-2, 1:-1])
+    pairs = (right, right), (right, down), (down, down), (right, less), (down, less)
+    a, b, c, along, below = (np.einsum("nij,nij->n", *pair) for pair in pairs)
+    flow = c * along - b * below - 1j * (a * below - b * along)
+    return np.asarray(flow / np.maximum(a * c - b * b, 1e-9))
+
+
+def _agreement(maps: Floats, references: Floats) -> Floats:
+    """Return how pictures (3, n, h, w) agree with some (3, t, h, w), as `Looked.agrees`."""
+    flat, other = (
+        np.concatenate([each - each.mean(axis=(2, 3), keepdims=True), each[1:2]]).reshape(
+            4, each.shape[1], -1
+        )
+        for each in (maps, references)
+    )
+    sizes = np.linalg.norm(other, axis=2)
+    other[sizes[:, 0] < VARIED * flat.shape[2] ** 0.5] = np.nan
+    found = flat @ other.swapaxes(1, 2) / np.maximum(np.linalg.norm(flat, axis=2)[..., None], 1e-9)
+    return np.asarray((found / sizes[:, None]).transpose(2, 0, 1))
 
 
 def _broken(name: str, looked: Looked) -> Iterator[Testimony]:
@@ -177,20 +205,19 @@ def _dark(name: str, looked: Looked) -> Iterator[Testimony]:
 
 
 def _turned(name: str, looked: Looked) -> Iterator[Testimony]:
-    """Pictures that agree better with the reference if they are turned."""
-    as_is, turned = looked.as_is, looked.turned
-    if np.isnan(as_is).all():
-        return
-    best = turned.max(axis=0)
+    """Pictures that agree better with the reference if they are turned, or have other colours."""
+    agrees = looked.agrees.reshape(len(looked.agrees), -1)
+    best, as_is = agrees[1:].max(axis=0), agrees[0]
 
-    def text(row: int) -> str:
-        how = list(TURNS)[int(turned[:, row].argmax())]
+    def text(k: int) -> str:
         return (
-            f"row {row} shows the reference {how} (correlation {best[row]:.2f}, {as_is[row]:.2f} "
-            "as it is)"
+            f"row {k % len(looked.level)} shows the reference "
+            f"{list(TURNS)[int(agrees[1:, k].argmax())]} (correlation {best[k]:.2f}, "
+            f"{as_is[k]:.2f} as it is)"
         )
 
-    yield from most((best - as_is) / TURNED, "turned", f"streams/{name}", text)
+    if not np.isnan(as_is).all():
+        yield from most((best - as_is) / TURNED, "turned", f"streams/{name}", text)
 
 
 def _pushed(presses: Presses, name: str) -> Floats:
@@ -279,29 +306,33 @@ def _late(presses: Presses, name: str, looked: Looked) -> Iterator[Testimony]:
 
 
 def _still(presses: Presses, name: str, looked: Looked) -> Iterator[Testimony]:
-    """Pictures that do not change while a press begins, as those of others do."""
-    stream, noise = presses.session.streams[name], looked.noise
-    axes, found = presses.forces, []
-    for one in presses.of(DOWN):
-        rows = presses.session.rows_of_run(name, one.run)
-        times, begin = stream.t_ns[rows], int(rows.start or 0)
-        first = int(np.searchsorted(times, one.start))
-        last = int(np.searchsorted(times, one.end + round(LATE / NS)))
-        felt = float(np.nanmax(np.linalg.norm(one.wrench[:, :3], axis=1), initial=0.0))
-        touched = not axes or felt > presses.felt(0, 1, 2)
-        deep = not presses.planned("depth", one.target) < DEEP
-        if one.whole and deep and touched and first < last < len(times) and noise > 0:
-            both = smaller(stream, [begin + first, begin + last], {})
-            found.append((float(_rms(both[1:] - both[:1])[0]) / noise, one.target, begin + first))
-    changes = np.array([change for change, _target, _row in found])
+    """Pictures that do not change while the tip moves in the skin, as others do."""
+    stream, ahead = presses.session.streams[name], len(looked.level) - len(looked.later)
+    found: list[int] = []
+    for one in presses.phases:
+        rows = presses.rows(stream, one.run, one.start, one.end)
+        at, ways = np.arange(rows.start, min(rows.stop, len(looked.later))), []
+        felt = np.nanmax(np.linalg.norm(one.wrench[:, presses.forces], axis=1), initial=0.0)
+        if presses.forces and felt < presses.felt(0, 1, 2):
+            continue
+        # A picture shows the skin of up to `LATE` before; reported places may jitter.
+        for late in np.linspace(0, LATE / NS, 7).astype(np.int64):
+            first, last = (presses.place(one.run, stream.t_ns[at + k] - late) for k in (0, ahead))
+            depths = np.maximum(presses.height(one.target) - np.stack([first, last])[..., 2], 0.0)
+            pressed = depths.min(axis=0) > PRESSED * presses.planned("depth", one.target)
+            aside = np.linalg.norm(last[:, :2] - first[:, :2], axis=1)
+            ways.append(np.abs(depths[1] - depths[0]) + pressed * aside)
+        found += at[np.min(ways, axis=0) > HALT_WAY].tolist()
+    if np.mean(looked.change > 0) > 0.9:  # with noise, no picture comes again
+        found += np.flatnonzero(looked.later == 0).tolist()
+    changes = looked.later[found] / looked.noise
     if len(found) and (np.median(changes) > SHOWS or np.median(changes) < STILL):
         yield from most(
             (STILL / np.maximum(changes, 1e-3)) ** 2,
             "still-image",
             f"streams/{name}",
             lambda k: (
-                "the picture does not change while target "
-                f"{found[k][1] + 1} is pressed, from row {found[k][2]}: it repeats itself"
+                f"the picture does not change for {HALT:g} s from row {found[k]}: it repeats itself"
             ),
         )
 
@@ -323,7 +354,7 @@ def _aside(presses: Presses, name: str) -> Iterator[Testimony]:
 
 def _way(stream: Stream, rows: tuple[int, int]) -> float:
     """Return how far the first of two pictures is moved in the other [px], in any light."""
-    one, other = np.nan_to_num(smaller(stream, rows, {}))
+    one, other = np.nan_to_num(smaller(stream, rows, {})[0])
     basis = np.stack([*np.gradient(one), one, np.ones_like(one)], axis=-1).reshape(-1, 4)
     way = np.hypot(*np.linalg.lstsq(basis, other.ravel(), rcond=None)[0][:2])
     return float(way * (stream.value_column or one).shape[0] / len(one))
@@ -341,6 +372,10 @@ def taxels(presses: Presses) -> Iterator[Testimony]:
         values = np.asarray(presses.session.streams[name].array("value"), np.float64)
         if len(values) >= 10 and values.ndim == 3:
             yield from _dead(name, values)
+            if name == presses.session.signal and values.shape[2] == 3:
+                sides = (values[..., 0] + 1j * values[..., 1]).sum(axis=1)
+                yield from sheared(presses, presses.session.streams[name], np.diff(sides))
+                yield from taxel_order(presses, presses.session.streams[name], values)
             yield from _late_taxels(presses, name, values)
 
 

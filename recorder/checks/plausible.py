@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.checks.directions import ASIDE_WAY, follows
 from recorder.checks.pictures import pictures, taxels
 from recorder.checks.testimony import Testimony, most
 from recorder.checks.timing import force_timing
 from recorder.findings import Finding
 from recorder.session.align import NS, changed, largest, quaternion, untrusted_words
 from recorder.session.columns import StreamPart, blocks
-from recorder.session.presses import ASIDE, BACK, DEEP, DOWN, NOISE, Phase, Presses
+from recorder.session.presses import ASIDE, BACK, DEEP, DOWN, NOISE, PRESSED, Phase, Presses
 from recorder.session.reader import Session
 from recorder.session.states import READING
 from recorder.spec import AXES
@@ -46,10 +47,11 @@ def doubts(
     """Yield the warnings of a session, and faults of pictures that no reader decodes.
 
     Without `images` no picture is looked at. `looked`, given again with a session that has grown,
-    keeps what its pictures showed.
+    keeps what its pictures showed; without it, notes tell what the session does not show.
     """
-    seen = statements(session, images=images, looked=looked)
-    return (one.finding for one in seen if one.doubtful)
+    for one in statements(session, images=images, looked=looked):
+        if one.doubtful or (one.finding.level == "note" and looked is None):
+            yield one.finding
 
 
 # The gauge.
@@ -59,8 +61,6 @@ def doubts(
 RECOVERED, CLEAR_PART, CLEAR_HEIGHT = 1.5, 0.25, 1e-3
 # Force without contact [N], and over the largest in a press.
 CLEAR_LEAST, CLEAR_OF_PEAK = 0.3, 0.05
-# Part of the depth from which a press pulls in no skin.
-PRESSED = 0.3
 # Largest factor of a force beside the expected interval, and beside other presses of its depth.
 SCALE, BESIDE = 3.0, 3.0
 # Change of the force of a control press, over it, and the least one [N].
@@ -77,18 +77,21 @@ UNITS = {
 # Least number of presses whose force is compared with the depth, and how well it must rise with it
 # (correlation).
 SEVERAL, RISES = 5, 0.25
-# How well side forces must follow the shear, rotated (1: exactly); directions that are needed; and
-# the largest angle between the two [deg], as rig has the gauge's axes along those of the contact.
-FOLLOWS, SPREAD, ASTRAY = 0.5, 0.15, 25.0
+# Largest angle between side forces and the shear [deg], as rig has the gauge's axes along those of
+# the contact, and in less than `SEVERAL` shears, which do not average out a contact's own shape;
+# factor between the two axes, as friction has no direction, but an indenter's shape has; and the
+# way along an axis over that of all shears from which it shows.
+ASTRAY, ASTRAY_FEW, UNEVEN, ALONG = 25.0, 50.0, 2.5, 0.3
 # Step of a force from one sample to the next [N], over that of a press, over the noise, and over
 # the steps before and after it; and the least rate at which no press is that fast [Hz].
 STEP, STEP_OF_PEAK, STEPPED, STEP_RATE = 0.85, 0.1, 3.0, 200.0
 # Equal samples of a gauge, [s] and over the runs of equal ones, of which one in a thousand is
 # longer.
 HELD, HELD_USUAL = 0.2, 5.0
-# Force from which torques are compared with its lever [N]; error of torque that is none over its
-# size; error that the contact's own place may add [m]; longest lever [m].
-LOADED, TWIST, PLACE, LEVER = 1.0, 0.3, 4e-3, 0.6
+# Force that is compared with others of its depth, and its lever with torques [N]; error of torque
+# that is none over its size; error that the contact's own place may add [m], and what it does if
+# the tip's is known; longest lever [m].
+LOADED, TWIST, PLACE, SPOT, LEVER = 0.2, 0.3, 4e-3, 1e-3, 0.6
 
 
 def _where(presses: Presses, column: str = "value") -> str:
@@ -245,7 +248,7 @@ def _beside(presses: Presses, tops: list[tuple[float, float, Phase]]) -> Iterato
         alike = [(force, one) for other, force, one in tops if round(other, 6) == depth]
         if (
             len(alike) < 3
-            or (middle := float(np.median([force for force, _one in alike]))) < LOADED / 5
+            or (middle := float(np.median([force for force, _one in alike]))) < LOADED
         ):
             continue
         for force, one in alike:
@@ -356,84 +359,89 @@ def held(presses: Presses) -> Iterator[Testimony]:
 
 
 def shear_follows(presses: Presses) -> Iterator[Testimony]:
-    """Side forces that are mirrored, or do not follow the shear."""
-    moved, felt = [], []
-    if not {0, 1} <= set(presses.measured):
+    """Side forces that are mirrored, do not follow the shear, or are larger along one axis."""
+    shears, least, where = [], presses.felt(0, 1), _where(presses)
+    if presses.force is None or not {0, 1} <= set(presses.measured):
         return
-    least = presses.felt(0, 1)
     for one in presses.of(ASIDE):
-        if len(one.place) < 3 or not one.whole:
-            continue
-        way, last = one.place[-1] - one.place[0], one.first + one.count
-        begin, end = (
-            presses.values(one.first, min(one.first + 3, last)),
-            presses.values(max(last - 3, one.first), last),
-        )
-        force = end.mean(0) - begin.mean(0)
-        if np.hypot(*force[:2]) > least and np.hypot(*way[:2]) > 1e-4:
-            moved.append(complex(*way[:2]) / np.hypot(*way[:2]))
-            felt.append(complex(*force[:2]) / np.hypot(*force[:2]))
-    if len(moved) < SEVERAL:
+        if one.whole and abs(one.way) > ASIDE_WAY:
+            force = one.wrench[-3:].mean(axis=0) - one.wrench[:3].mean(axis=0)
+            # Friction follows the normal force.
+            normal = np.fmax(abs(one.wrench[-3:, 2].mean()), least)
+            shears.append((one.way / abs(one.way), complex(*force[:2]), normal))
+    way, force, normal = np.array(shears or np.zeros((0, 3))).T
+    felt = np.abs(force) > least
+    if not felt.any():
+        message = "side axes and torques not verified: no shear shows them"
+        yield Testimony(0.0, Finding("unverified", where, message))
         return
-    way, force = np.array(moved), np.array(felt)
-    # Shears along one line cannot tell a mirrored axis from a turned one.
-    spread = 1 - abs(np.mean(way**2))
-    turned, mirrored = abs(np.mean(force * way.conj())), abs(np.mean(force * way))
-    angle = float(np.degrees(np.angle(np.mean(force * way.conj()))))
-    doubt = max((1 - turned) / (1 - FOLLOWS), abs(angle) / ASTRAY)
-    message = "side forces do not follow the shear"
-    if spread > SPREAD and mirrored > turned:
-        message = (
-            "side forces are mirrored beside the shear: an axis is swapped or has a wrong sign"
-        )
-    elif turned > FOLLOWS:
-        message = f"side forces are turned by {angle:+.0f} degrees beside the shear: check the axes"
-    yield Testimony(
-        float(doubt),
-        Finding("shear-direction", _where(presses), f"{message} ({len(way)} shears)"),
-    )
+    astray = ASTRAY if felt.sum() >= SEVERAL else ASTRAY_FEW
+    doubt, how = follows(way[felt], force[felt] / np.abs(force[felt]), astray)
+    message = f"side forces in {felt.sum()} shears are, beside the tip's way, {how}"
+    yield Testimony(doubt, Finding("shear-direction", where, message))
+    along = np.array([(way.real**2).sum(), (way.imag**2).sum()])
+    if along.min() > ALONG * len(way):
+        over = force / normal
+        gain = np.abs([way.real @ over.real, way.imag @ over.imag]) / along + 1e-3
+        message = f"a shear along x has {gain[0] / gain[1]:.3g} times the side force of one along y"
+        doubt = abs(float(np.log(gain[0] / gain[1]))) / np.log(UNEVEN)
+        yield Testimony(doubt, Finding("shear-direction", where, message))
 
 
 def levers(presses: Presses) -> Iterator[Testimony]:
-    """Torques that are not those of the force at a place: axes, signs or unit are wrong."""
+    """Torques that are not those of the force at the tip, or at no place if that is unknown."""
     if len(presses.measured) < len(AXES):
         return
-    doubt, found = [], []
+    gauge = presses.session.setting("expected").get("gauge")
     by_target: dict[int, list[Floats]] = {}
     for one in presses.of(DOWN, ASIDE, BACK):
-        some = one.wrench
-        some = some[np.isfinite(some).all(axis=1)]
-        some = some[np.linalg.norm(some[:, :3], axis=1) > LOADED]
+        some = np.hstack([one.wrench, one.tip - gauge if gauge else np.zeros((one.count, 3))])
+        square = np.square(some)  # infinite of what is too large for a number
+        some = some[np.isfinite(square).all(axis=1) & (square[:, :3].sum(axis=1) > LOADED**2)]
         by_target.setdefault(one.target, []).append(some[:: max(1, len(some) // 50)].copy())
+    found, noise = [], NOISE * presses.sigma.reshape(2, 3).max(axis=1)
     for target, parts in by_target.items():
-        wrench = np.concatenate(parts)
-        force, torque = wrench[:, :3], wrench[:, 3:]
-        noise = NOISE * float(np.linalg.norm(presses.sigma[3:]))
-        size = float(np.sqrt((torque**2).sum(axis=1).mean())) if len(wrench) else 0.0
-        if len(wrench) < 10 or size <= 2 * noise:
-            continue
-        matrix = np.zeros((len(wrench), 3, 3))  # of r x F, with r unknown
-        for row, (a, b) in enumerate(((1, 2), (2, 0), (0, 1))):
-            matrix[:, row, a], matrix[:, row, b] = force[:, b], -force[:, a]
-        lever = np.linalg.lstsq(matrix.reshape(-1, 3), torque.ravel(), rcond=1e-3)[0]
-        left = torque - (matrix @ lever)
-        pushed = float(np.sqrt((force**2).sum(axis=1).mean()))
-        allowed = TWIST * size + PLACE * pushed + noise
-        doubt.append(
-            max(
-                float(np.sqrt((left**2).sum(axis=1).mean())) / allowed,
-                float(np.linalg.norm(lever)) / LEVER,
-            )
-        )
-        found.append((target, float(np.linalg.norm(lever))))
+        force, torque, tip = np.split(np.concatenate(parts), (3, 6), axis=1)
+        if len(tip) >= 10 and _size(torque).max() > 2 * noise[1]:
+            doubt, how = _lever(force, torque, tip, noise)
+            found.append((doubt, f"target {target + 1} has torques {how}"))
+    yield from most([doubt for doubt, _ in found], "torque", _where(presses), lambda k: found[k][1])
 
-    def text(worst: int) -> str:
-        target, length = found[worst]
-        if length > LEVER:
-            return f"target {target + 1} has torques at a lever of {length:.3g} m: N mm for N m?"
-        return f"target {target + 1} has torques that its force has at no place: check the axes"
 
-    yield from most(doubt, "torque", _where(presses), text)
+def _lever(force: Floats, torque: Floats, tip: Floats, noise: Floats) -> tuple[float, str]:
+    """Return how doubtful torques of forces at the tip (n, 3) are, and why; 0: an unknown place.
+
+    The contact is beside a known one, at its height above the gauge unless torques of side forces
+    tell another. `noise` (2,) is that of forces and torques.
+    """
+    matrix = np.zeros((len(force), 3, 3))  # of r x F, with r unknown
+    for row, (a, b) in enumerate(((1, 2), (2, 0), (0, 1))):
+        matrix[:, row, a], matrix[:, row, b] = force[:, b], -force[:, a]
+    pushed, height, known = np.linalg.norm(_size(force)), float(tip[:, 2].mean()), bool(tip.any())
+    # Noise of side forces, which lever and rest share, shows no other lever up to 3 of its sigma.
+    least = SPOT * pushed / max(height, SPOT) + 3 / NOISE * noise[0]
+    usual = [0.0, 0.0, known * len(tip) ** 0.5 * least]
+    beside = torque - np.cross(tip, force)
+    lever = np.linalg.lstsq(
+        np.vstack([matrix.reshape(-1, 3), usual]), np.append(beside, 0.0), rcond=1e-3
+    )[0]
+    left = _size(beside - matrix @ lever)
+    away, higher = np.linalg.norm(lever[: 3 - known]), 1 + known * lever[2] / max(height, SPOT)
+    spot = (SPOT if known else PLACE) * pushed + noise @ (height, 1)
+    twisted = left / (TWIST * _size(torque) + spot)
+    doubts = {
+        "that its force has at no place": twisted.max(),
+        f"of a force {1e3 * away:.3g} mm away": away / (PLACE if known else LEVER),
+        f"of a force at {higher:.3g} times the height of the tip": abs(np.log(max(higher, 1e-3)))
+        / np.log(UNEVEN),
+    }
+    how, doubt = max(doubts.items(), key=itemgetter(1))
+    return float(doubt), f"{how}: check axes, signs and unit"
+
+
+def _size(vectors: Floats) -> Floats:
+    """Return the root of the mean square of each component (3,) of vectors (n, 3)."""
+    return np.asarray(np.sqrt(np.square(vectors).mean(axis=0)))
 
 
 # The arm.
@@ -445,6 +453,8 @@ FASTER, FAST, TURNING, OVER = 4.0, 2.0, 6.0, 0.1
 REACH, TURN, JUMP, JUMPY, MOVING = 4.0, 7.0, 0.25e-3, 3.0, 1e-3
 # Distance of the reached place from the planned one [m], and over the way to it.
 AWAY, AWAY_OF_WAY = 0.3e-3, 0.05
+# Largest turn of the tool beside the planned one, which arms repeat to a tenth of it [rad].
+ASKEW = np.radians(2.0)
 # Time at the end of a phase over which its place is the median, as reported positions jitter [s].
 ENDING = 0.03
 # Way that a phase plans at least, and the part of it that a frozen pose does not go [m].
@@ -464,7 +474,6 @@ def speeds(presses: Presses) -> Iterator[Testimony]:
     ]
     limit = max(FASTER * max(planned), 0.05) if planned else FAST
     doubt, found = [], []
-    where = f"streams/{pose.name}/value"
     for run in range(max(len(session.runs), 1)):
         rows = session.rows_of_run(pose.name, run)
         poses = np.asarray(pose.array("value"), np.float64)[rows]
@@ -475,44 +484,33 @@ def speeds(presses: Presses) -> Iterator[Testimony]:
         apart = max(1, round(OVER * pose.rate_hz))
         if len(poses) <= apart:
             continue
-        first = int(rows.start or 0)
-        far = np.linalg.norm(poses[:, :3], axis=1) / REACH
-        doubt.append(float(far.max()))
-        found.append(
-            (
-                f"a place {REACH * far.max():.3g} m from the base: mm for m?",
-                first + int(far.argmax()),
-            )
-        )
-        turn = np.linalg.norm(poses[:, 3:], axis=1) / TURN
-        doubt.append(float(turn.max()))
-        found.append(
-            (f"a turn of {TURN * turn.max():.3g} rad: degrees?", first + int(turn.argmax()))
-        )
         step = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
         took = np.maximum(np.diff(seconds), 1 / pose.rate_hz)
         moving = (step / took)[step > MOVING * took]
         usual = float(np.quantile(moving, 0.9)) if len(moving) > 2 else 0.0
-        jump = step - JUMPY * usual * took
-        doubt.append(float(jump.max() / JUMP))
-        found.append((f"a jump of {1e3 * jump.max():.3g} mm", first + 1 + int(jump.argmax())))
         lasts = np.maximum(seconds[apart:] - seconds[:-apart], OVER / 2)
-        fast = np.linalg.norm(poses[apart:, :3] - poses[:-apart, :3], axis=1) / lasts
-        doubt.append(float(fast.max() / limit))
-        found.append((f"{fast.max():.3g} m/s, allowed {limit:.3g} m/s", first + int(fast.argmax())))
+        way = np.linalg.norm(poses[apart:, :3] - poses[:-apart, :3], axis=1)
         turns = quaternion(poses[:, 3:])
-        cosine = np.minimum(np.abs((turns[apart:] * turns[:-apart]).sum(axis=1)), 1.0)
-        turning = 2 * np.arccos(cosine) / lasts
-        doubt.append(float(turning.max() / TURNING))
-        found.append(
-            (f"{turning.max():.3g} rad/s, allowed {TURNING:g} rad/s", first + int(turning.argmax()))
-        )
+        twist = _angle(turns[1:], turns[:-1]) - TURNING * took
+        for sizes, allowed, unit in (
+            (np.linalg.norm(poses[:, :3], axis=1), REACH, "m from the base: mm for m?"),
+            (np.linalg.norm(poses[:, 3:], axis=1), TURN, "rad of turn: degrees?"),
+            (step - JUMPY * usual * took, JUMP, "m of a jump"),
+            (twist, ASKEW, "rad of a jump"),
+            (way / lasts, limit, f"m/s, allowed {limit:.3g} m/s"),
+            (_angle(turns[apart:], turns[:-apart]) / lasts, TURNING, f"rad/s, allowed {TURNING:g}"),
+        ):
+            worst = int(sizes.argmax())
+            doubt.append(float(sizes[worst]) / allowed)
+            row = (rows.start or 0) + worst + (len(sizes) == len(step))
+            found.append(f"{sizes[worst]:.3g} {unit}, row {row}")
+    text, where = "check units, and the times of the poses", f"streams/{pose.name}/value"
+    yield from most(doubt, "pose-speed", where, lambda worst: f"{found[worst]}: {text}")
 
-    def text(worst: int) -> str:
-        message, row = found[worst]
-        return f"{message}, row {row}: check units, and the times of the poses"
 
-    yield from most(doubt, "pose-speed", where, text)
+def _angle(turns: Floats, others: Floats) -> Floats:
+    """Return the angles (n,) between rotations, as unit quaternions (n, 4) [rad]."""
+    return np.asarray(2 * np.arccos(np.minimum(np.abs((turns * others).sum(axis=1)), 1.0)))
 
 
 def places(presses: Presses) -> Iterator[Testimony]:
@@ -520,12 +518,19 @@ def places(presses: Presses) -> Iterator[Testimony]:
     if presses.pose is None:
         return
     doubt, found, ending = [], [], max(1, round(ENDING * presses.pose.rate_hz))
+    tool = presses.session.setting("expected").get("tool")
     last = {
         one.target: one for one in presses.phases if one.code in (DOWN, ASIDE) and len(one.place)
     }
     for one in presses.phases:
         if len(one.place) < 3 or not one.whole or one.code not in (DOWN, ASIDE):
             continue
+        if tool:
+            rows = presses.rows(presses.pose, one.run, one.start, one.end)
+            turns = quaternion(presses.pose.array("value")[rows.start : rows.stop, 3:])
+            askew = float(_angle(turns, quaternion(np.array(tool))).max())
+            doubt.append(askew / ASKEW)
+            found.append((one, f"the tool is turned by {np.degrees(askew):.3g} degrees"))
         goal, way = presses.planned_place(one.target), one.place[-1] - one.place[0]
         depth = presses.planned("depth", one.target)
         if one.code == DOWN and depth > WAY:

@@ -98,22 +98,22 @@ def picture_level(presses: Presses, stream: Stream, phases: Sequence[Phase]) -> 
     resting = reference_rows(presses.session, stream.name)
     if not resting or min(small_size(stream)) < FEWEST:
         return None
-    reference = smaller(stream, resting, {}).mean(axis=0)
+    reference = smaller(stream, resting, {})[0].mean(axis=0)
     moved = np.full(len(stream), np.nan)
     for one in phases:
         rows = _rows(presses, one, stream)
         if len(rows):
-            beside = smaller(stream, rows, {}) - reference
+            beside = smaller(stream, rows, {})[0] - reference
             moved[rows.start : rows.stop : rows.step] = np.sqrt((beside**2).mean(axis=(1, 2)))
     return beyond_noise(moved) if np.isfinite(moved).any() else None
 
 
 def _rows(presses: Presses, one: Phase, stream: Stream) -> range:
     """Return at most some `MOST` rows of a stream in a phase, and a little around it."""
-    of_run, around = presses.session.rows_of_run(stream.name, one.run), round(AROUND / NS)
-    ends = (one.start - around, one.end + around * (one.code == UP))
-    first, last = (of_run.start or 0) + np.searchsorted(stream.t_ns[of_run], ends)
-    return range(int(first), int(last), max(1, int(last - first) // MOST))
+    around = round(AROUND / NS)
+    end = one.end + around * (one.code == UP)
+    rows = presses.rows(stream, one.run, one.start - around, end)
+    return rows[:: max(1, len(rows) // MOST)]
 
 
 def _delay(presses: Presses, one: Phase, stream: Stream, level: Level) -> float:

@@ -24,6 +24,8 @@ DOWN, ASIDE, BACK, UP = range(len(PHASES))
 NOISE_ROWS = 20_000
 # A force that is felt is larger than this multiple of a sample's noise and this force [N] together.
 NOISE, FELT = 5.0, 0.1
+# Part of the depth from which a press pulls in no skin.
+PRESSED = 0.3
 # Least depth of a press that is more than a touch [m].
 DEEP = 0.25e-3
 
@@ -60,18 +62,27 @@ class Phase:
     @property
     def depth(self) -> Floats:
         """Indentation (n,) [m]; NaN without an arm or a contact frame."""
-        moments, places = self.presses.places(self.run)
-        if len(moments) < 2 or self.presses.force is None:
-            return np.full(self.count, np.nan)
+        return np.asarray(self.presses.height(self.target) - self.tip[:, 2])
+
+    @property
+    def tip(self) -> Floats:
+        """Places of the tip (n, 3) [m] in the contact frame; NaN without an arm or that frame."""
+        if self.presses.force is None:
+            return np.zeros((0, 3))
         times = self.presses.force.rows("t_ns", slice(self.first, self.first + self.count))[:]
-        height = align.linear(moments, places[:, 2], times).value
-        return np.asarray(self.presses.height(self.target) - height)
+        return self.presses.place(self.run, times)
 
     @property
     def place(self) -> Floats:
         """Places of the tip (m, 3) [m] in the contact frame, at the arm's rate; may be empty."""
         moments, places = self.presses.places(self.run)
         return places[slice(*np.searchsorted(moments, (self.start, self.end)))]
+
+    @property
+    def way(self) -> complex:
+        """Way of the tip aside [m]: along x, and along y as the imaginary part; 0 if unknown."""
+        place = self.place
+        return complex(*(place[-1] - place[0])[:2]) if len(place) > 2 else 0j
 
     @property
     def wrench(self) -> Floats:
@@ -165,6 +176,19 @@ class Presses:
                 self._places[run] = self.pose.t_ns[rows], in_frame(self.frame, poses)
         return self._places[run]
 
+    def place(self, run: int, times: Times) -> Floats:
+        """Return places of the tip (n, 3) [m] in the contact frame, or NaN, at times (n,) [ns]."""
+        moments, places = self.places(run)
+        if len(moments) < 2:
+            return np.full((len(times), 3), np.nan)
+        return np.asarray(align.linear(moments, places, times).value)
+
+    def rows(self, stream: Stream, run: int, start: int, end: int) -> range:
+        """Return the rows of a stream that arrived in a run from `start` up to `end` [ns]."""
+        of_run = self.session.rows_of_run(stream.name, run)
+        first, last = np.searchsorted(stream.t_ns[of_run], (start, end))
+        return range((of_run.start or 0) + int(first), (of_run.start or 0) + int(last))
+
     @cached_property
     def _heights(self) -> Floats:
         return surface_heights(self.session)
@@ -185,10 +209,7 @@ class Presses:
             if not 0 <= target < len(self.session.targets.get("point", ())):
                 continue  # a fault of the segments, or a session without targets
             start, end = int(segments["start_ns"][row]), int(segments["end_ns"][row])
-            first = last = 0
-            if force is not None:
-                rows = self.session.rows_of_run(force.name, run)
-                first, last = (rows.start or 0) + np.searchsorted(force.t_ns[rows], (start, end))
+            rows = range(0) if force is None else self.rows(force, run, start, end)
             yield Phase(
                 target,
                 int(segments["phase"][row]),
@@ -196,8 +217,8 @@ class Presses:
                 run,
                 start,
                 end,
-                int(first),
-                int(last - first),
+                rows.start,
+                len(rows),
                 self.offset(run, target, start),
                 self,
             )

@@ -11,6 +11,8 @@ from recorder.session.reader import Session
 
 Floats = NDArray[np.floating]
 
+# Maps of a picture: grey, red less blue, and green less both, of red, green and blue.
+MAPS = np.array([[0.299, 1.0, -0.5], [0.587, 0.0, 1.0], [0.114, -1.0, -0.5]], np.float32)
 # Factor by which pictures are made smaller, if that leaves enough pixels along each side; and
 # fewest of these.
 SMALLER, FEWEST = 8, 8
@@ -25,28 +27,28 @@ def small_size(stream: Stream) -> tuple[int, int]:
 
 
 def smaller(stream: Stream, rows: Sequence[int], broken: dict[int, str]) -> Floats:
-    """Return pictures of a camera (n, h, w), grey and of `small_size`.
+    """Return `MAPS` of pictures of a camera, of `small_size` (3, n, h, w).
 
     Rows that cannot be decoded are added to `broken`, and are as those before them, or NaN.
     """
     height, width = small_size(stream)
-    small = np.zeros((len(rows), height, width), np.float32)
+    small = np.zeros((3, len(rows), height, width), np.float32)
     if stream.jpeg_shape is None:
         for k, row in enumerate(rows):
             (image,) = stream.images([row])
             factor = len(image) // height
             image = image[: height * factor, : width * factor]
-            shape = height, factor, width, factor * image.shape[2]
-            small[k] = image.reshape(shape).mean(axis=(1, 3))
+            image = image.reshape(height, factor, width, factor, -1).mean(axis=(1, 3))
+            small[:, k] = np.moveaxis(np.broadcast_to(image, (height, width, 3)) @ MAPS, -1, 0)
         return small
     good = 0
     for k, (row, data) in enumerate(zip(rows, stream.jpegs(rows), strict=True)):
         try:
-            image = simplejpeg.decode_jpeg(data, "GRAY", True, True, height, width)
-            small[k], good = image[:height, :width, 0], k
+            image = simplejpeg.decode_jpeg(data, "RGB", True, True, height, width)
+            small[:, k], good = np.moveaxis(image[:height, :width] @ MAPS, -1, 0), k
         except ValueError as error:
             broken[row] = f"cannot be decoded: {error}"
-            small[k] = small[good] if k else np.nan
+            small[:, k] = small[:, good] if k else np.nan
     return small
 
 

@@ -41,6 +41,7 @@ from rig.acquire.live_checks import LiveChecks
 from rig.acquire.plan_runner import LiveLine, PlanRunner, last_line, rise_clear, zero_stand_ins
 from rig.acquire.streams import Streams, check_clear, check_devices, notes_on, take_tares
 from rig.bench.bench import Bench
+from rig.bench.expected import mount_of
 from rig.bench.guards import (
     force_limit,
     guard_limits,
@@ -415,6 +416,7 @@ class Collector:
             "software": software(),
             "calibration": request.calibration.attrs(),
             "expected_force": _expected(bench, request),
+            "expected": _mount(bench, request),
             **({"without_gauge": statement(bench)} if bench.no_gauge else {}),
         }
 
@@ -620,3 +622,12 @@ def frames_per_target(session: Session) -> str:
         f"frames per target: {counts.min()} to {counts.max()}, mean {counts.mean():.0f} "
         f"(without repeats: mean {fresh_counts.mean():.0f}; paper: 20 to 60)"
     )
+
+
+def _mount(bench: Bench, request: CollectRequest) -> dict[str, Any]:
+    """Return how tool, sensor and gauge lie, as far as the World or the set-up tells it."""
+    steps = (request.calibration.acceptance or {}).get("steps", {})
+    mount: dict[str, Any] = {"turned": 0.0} if steps.get("axes") == "well" else {}
+    if bench.world is not None:
+        mount = {} if request.mock_sources else mount_of(bench.world)
+    return {"tool": bench.tool_pose((0.0, 0.0, 0.0))[3:].tolist(), **mount}

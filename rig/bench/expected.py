@@ -8,10 +8,12 @@ what the bench can record are known from it, and how fast a press may be.
 import math
 from dataclasses import dataclass, field
 from functools import cache
+from typing import Any
 
 import numpy as np
 
 from rig.bench.indenter import body_of
+from rig.bench.worlds import WorldSpec
 from rig.core.errors import ConfigError
 
 # Largest factor between a lab's skin and the modulus of its row, unless the bench file states its
@@ -104,3 +106,17 @@ def expected_force(skin: Skin, indenter: str, *, exact: bool) -> ExpectedForce:
     source = skin.source or ("" if exact or skin.modulus else "assumed")
     text = f"{skin.sensor}, {kpa} kPa" + (f", {source}" if source else "")
     return ExpectedForce(depths, low, high, text)
+
+
+def mount_of(world: WorldSpec) -> dict[str, Any]:
+    """Return how a World's sensor and gauge lie in the contact frame, for `expected` of a session.
+
+    `turned` is the angle of its picture, anticlockwise [rad], `taxels` their places (n, 2), and
+    `gauge` that of its origin (3,) [m].
+    """
+    from sim.sensors import sensor_of
+
+    signal = sensor_of(world.sensor).signal
+    turned = getattr(signal, "rotation", 0.0) + math.radians(world.lab.camera_turned_deg)
+    places = getattr(signal, "places", np.zeros((0, 2))).tolist()
+    return {"turned": turned, "taxels": places, "gauge": [0.0, 0.0, -world.gauge_depth]}

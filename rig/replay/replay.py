@@ -52,7 +52,7 @@ EXIT_DIFFERENT = 1
 # Attributes of the source that also apply to the replay.
 _COPIED = (
     *("sensor", "indenter", "operator", "plan", "targets_wanted", "bench", "contact_frame"),
-    *("calibration", "expected_force", "imported", "mock_sources"),
+    *("calibration", "expected", "expected_force", "imported", "mock_sources"),
 )
 # Attributes of a stream that the replay writes itself.
 _OWN_ATTRS = {"columns", "rate_hz", "sync_interval", "device", "device_clock", "clock_fit"}

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import simplejpeg
-from support.sessions import DEPTH, T0, Columns, make_session
+from support.sessions import CONTACT_FRAME, DEPTH, T0, Columns, depth_at, make_session, shear_at
 
 from recorder.checks import plausible
 from recorder.checks.check import check
@@ -148,6 +148,18 @@ def some_of(change: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return edit
 
 
+def frozen(first: int, count: int = 30) -> Callable[[Any], Any]:
+    """Repeat a picture for half a second of a press, each time with other noise."""
+
+    def edit(images: Any) -> Any:
+        images, noise = images.copy(), np.random.default_rng(0)
+        repeated = images[first] + noise.normal(0, 2, (count, *images.shape[1:]))
+        images[first : first + count] = np.clip(repeated, 0, 255)
+        return images
+
+    return edit
+
+
 def noisy(images: Any) -> Any:
     noise = np.random.default_rng(0).normal(0, 2, images.shape)
     return np.clip(images[:1] + noise, 0, 255).astype(np.uint8)
@@ -162,6 +174,8 @@ def noisy(images: Any) -> Any:
         ("image-time", lambda images: np.roll(images, 24, axis=0)),
         ("image-jump", some_of(lambda images: 255 - images)),
         ("turned", some_of(lambda images: images[:, ::-1, ::-1])),
+        ("turned", some_of(lambda images: images[..., ::-1])),
+        ("still-image", frozen(206)),
     ],
 )
 def test_pictures_that_cannot_be_right_are_named(
@@ -259,3 +273,144 @@ def test_a_picture_that_no_reader_decodes_is_a_fault(tmp_path: Path) -> None:
     found = [each for each in check(path) if each.code == "bad-image"]
     assert [(each.level, each.where) for each in found] == [("fault", "streams/camera")]
     assert found[0].message.startswith("row 7: cannot be decoded")
+
+
+def mounted(path: Path, **expected: Any) -> dict[str, float]:
+    """Return the doubts of a session with these `expected`, by code and stream."""
+    session, found = Session(path), dict[str, float]()
+    session.attrs["expected"] = expected
+    for one in plausible.statements(session):
+        name = f"{one.finding.code} {one.finding.where.split('/')[1]}"
+        found[name] = max(one.doubt, found.get(name, -np.inf))
+    return found
+
+
+GAUGE = [2e-3, 1e-3, -2e-2]
+
+
+def at_tip(rows: Columns) -> Any:
+    """Return forces with the torques that they have at the tip, about `GAUGE`."""
+    seconds = np.arange(len(rows["value"])) / 1000
+    tip = np.stack([shear_at(seconds), 0 * seconds, -depth_at(seconds)], axis=1) - GAUGE
+    torque = np.cross(tip, rows["value"][:, :3] - 0.25)  # less the reference
+    noise = np.random.default_rng(0).normal(0, 5e-5, torque.shape)
+    return np.concatenate([rows["value"][:, :3], torque + noise], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("edit", "known", "unknown"),
+    [
+        (times(*[1] * 6), False, False),
+        (times(1, 1, 1, -1, -1, -1), True, False),
+        (times(1, 1, 1, 4, 4, 4), True, False),
+        (times(4, 1, 1, 1, 1, 1), True, False),
+        (columns(0, 1, 2, 4, 3, 5), True, False),
+        (times(1, 1, 1, 1e3, 1e3, 1e3), True, True),
+    ],
+)
+def test_torques_are_those_of_the_force_at_the_tip(
+    tmp_path: Path, edit: Edit, known: bool, unknown: bool
+) -> None:
+    path = edited(tmp_path / "s.zarr", "force", lambda rows: edit({"value": at_tip(rows)}))
+    for expected, doubtful in (({"gauge": GAUGE}, known), ({}, unknown)):
+        doubt = mounted(path, **expected)["torque force"]
+        assert doubt > 1 if doubtful else doubt <= 0.5
+
+
+@pytest.mark.parametrize("factors", [(-1, 1), (4, 1), (1, 0.2)])
+def test_a_side_axis_is_told_by_two_shears(tmp_path: Path, factors: tuple[float, float]) -> None:
+    def change(name: str, rows: Columns) -> Columns:
+        rows = dict(rows)
+        if name in ("pose", "force"):  # the second press is sheared along y
+            second = (rows["t_ns"] - rows["t_ns"][0] > 1_600_000_000)[:, None]
+            value = np.array(rows["value"], float)
+            origin = np.array([CONTACT_FRAME[0], CONTACT_FRAME[1]]) * (name == "pose")
+            aside = value[:, :2] - origin
+            value[:, :2] = np.where(second, aside[:, ::-1], aside) + origin
+            rows["value"] = value * (1 if name == "pose" else np.array([*factors, 1, 1, 1, 1]))
+        return rows
+
+    path = make_session(tmp_path / "s.zarr", names=("force", "pose"), change=change)
+    assert warned(path).get("shear-direction") == "streams/force/value"
+
+
+def test_a_tool_that_is_turned_is_named(tmp_path: Path) -> None:
+    def pose(*turn: float) -> Edit:
+        return lambda rows: rows["value"] + np.array([0, 0, 0, *turn])
+
+    some = edited(tmp_path / "some.zarr", "pose", part(pose(0, 0.1, 0)), seconds=3.6)
+    assert "pose-speed" in warned(some)
+    for turn, doubtful in ((0.1, True), (2 * np.pi, False)):
+        path = edited(tmp_path / f"{turn}.zarr", "pose", pose(0, turn, 0), seconds=3.6)
+        assert (mounted(path, tool=[0.0, 0.0, 0.0])["pose-place pose"] > 1) == doubtful
+
+
+@pytest.mark.parametrize(
+    ("turned", "change"),
+    [
+        (0, lambda images: images),
+        (180, lambda images: images[:, ::-1, ::-1]),
+        (180, lambda images: images[:, :, ::-1]),
+    ],
+)
+def test_a_picture_is_turned_as_the_bench_states(
+    tmp_path: Path, turned: float, change: Callable[[Any], Any]
+) -> None:
+    names, shape = ("camera", "force", "pose"), (128, 160)
+    path = edited(
+        tmp_path / "s.zarr", "camera", redrawn(change), names=names, shape=shape, seconds=3.6
+    )
+    for stated in (0, 180):
+        doubt = mounted(path, turned=np.radians(stated))["turned camera"]
+        assert doubt <= 0.5 if stated == turned else doubt > 1
+    found = [str(each) for each in check(path) if each.code == "unverified"]
+    assert any("streams/camera: orientation not verified" in each for each in found)
+
+
+def pressed_taxels(rows: Columns) -> Any:
+    """Return taxels whose sides move outwards under a press."""
+    seconds = np.arange(len(rows["value"])) / 60
+    side = np.stack([PLACES[:, 0], PLACES[:, 1], 0 * PLACES[:, 0]], axis=1)
+    pressed = np.maximum(depth_at(seconds), 0) / DEPTH
+    reach = np.exp(-np.linalg.norm(PLACES, axis=1) / 4.7e-3)[:, None]
+    return rows["value"] + np.rint(2e5 * reach * side * pressed[:, None, None]).astype(np.int32)
+
+
+PLACES = 4.7e-3 * (np.stack(np.mgrid[:4, :4][::-1], axis=-1).reshape(-1, 2) - 1.5)
+
+
+@pytest.mark.parametrize(
+    ("code", "edit"),
+    [
+        ("", lambda value: value),
+        ("wrong-sign", lambda value: value * [1, 1, -1] + [0, 0, 60_000]),
+        ("turned", lambda value: value * [-1, 1, 1] + [60_000, 0, 0]),
+        ("wrong-sign", lambda value: value[..., [2, 1, 0]]),
+        ("turned", lambda value: value[..., [1, 0, 2]]),
+        ("turned", lambda value: value.reshape(-1, 4, 4, 3)[:, :, ::-1].reshape(value.shape)),
+        ("turned", lambda value: value.reshape(-1, 4, 4, 3).swapaxes(1, 2).reshape(value.shape)),
+    ],
+)
+def test_axes_and_order_of_taxels_are_told_by_presses(
+    tmp_path: Path, code: str, edit: Callable[[Any], Any]
+) -> None:
+    def taxels(rows: Columns) -> Any:
+        return edit(pressed_taxels(rows)).astype(np.int32)
+
+    names = ("taxels", "pose")
+    path = edited(tmp_path / "s.zarr", "taxels", taxels, names=names, seconds=3.6)
+    found = mounted(path, turned=0.0, taxels=PLACES.tolist())
+    doubtful = {name for name, doubt in found.items() if not doubt <= 0.5}
+    assert f"{code} taxels" in doubtful if code else not doubtful
+
+
+def test_what_only_a_shear_tells_is_not_verified_without_one(tmp_path: Path) -> None:
+    def change(name: str, rows: Columns) -> Columns:
+        if name == "segments":
+            return {key: values[rows["phase"] % 3 == 0] for key, values in rows.items()}
+        return rows
+
+    path = make_session(tmp_path / "s.zarr", names=("camera", "force", "pose"), change=change)
+    found = [str(each) for each in check(path) if each.code == "unverified"]
+    assert len(found) == 3
+    assert "side axes and torques not verified" in found[2] or "side axes" in found[1]
