@@ -449,7 +449,7 @@ def _size(vectors: Floats) -> Floats:
 # Largest speed over the planned one; without a plan [m/s]; turning [rad/s]; over this time [s].
 FASTER, FAST, TURNING, OVER = 4.0, 2.0, 6.0, 0.1
 # Largest distance of an arm from its base [m], turn of a pose [rad], and jump to the next one [m]
-# beside 3 times the speed that a tenth of the steps of a moving arm exceeds; it moves above [m/s].
+# beside 3 times the planned speed, or one that a tenth of its steps exceeds; it moves above [m/s].
 REACH, TURN, JUMP, JUMPY, MOVING = 4.0, 7.0, 0.25e-3, 3.0, 1e-3
 # Distance of the reached place from the planned one [m], and over the way to it.
 AWAY, AWAY_OF_WAY = 0.3e-3, 0.05
@@ -473,6 +473,7 @@ def speeds(presses: Presses) -> Iterator[Testimony]:
         if isinstance(arm.get(key), int | float)
     ]
     limit = max(FASTER * max(planned), 0.05) if planned else FAST
+    travel = max(planned, default=0.0)
     doubt, found = [], []
     for run in range(max(len(session.runs), 1)):
         rows = session.rows_of_run(pose.name, run)
@@ -495,7 +496,7 @@ def speeds(presses: Presses) -> Iterator[Testimony]:
         for sizes, allowed, unit in (
             (np.linalg.norm(poses[:, :3], axis=1), REACH, "m from the base: mm for m?"),
             (np.linalg.norm(poses[:, 3:], axis=1), TURN, "rad of turn: degrees?"),
-            (step - JUMPY * usual * took, JUMP, "m of a jump"),
+            (step - JUMPY * max(usual, travel) * took, JUMP, "m of a jump"),
             (twist, ASKEW, "rad of a jump"),
             (way / lasts, limit, f"m/s, allowed {limit:.3g} m/s"),
             (_angle(turns[apart:], turns[:-apart]) / lasts, TURNING, f"rad/s, allowed {TURNING:g}"),
