@@ -148,18 +148,6 @@ def some_of(change: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return edit
 
 
-def frozen(first: int, count: int = 30) -> Callable[[Any], Any]:
-    """Repeat a picture for half a second of a press, each time with other noise."""
-
-    def edit(images: Any) -> Any:
-        images, noise = images.copy(), np.random.default_rng(0)
-        repeated = images[first] + noise.normal(0, 2, (count, *images.shape[1:]))
-        images[first : first + count] = np.clip(repeated, 0, 255)
-        return images
-
-    return edit
-
-
 def noisy(images: Any) -> Any:
     noise = np.random.default_rng(0).normal(0, 2, images.shape)
     return np.clip(images[:1] + noise, 0, 255).astype(np.uint8)
@@ -175,7 +163,7 @@ def noisy(images: Any) -> Any:
         ("image-jump", some_of(lambda images: 255 - images)),
         ("turned", some_of(lambda images: images[:, ::-1, ::-1])),
         ("turned", some_of(lambda images: images[..., ::-1])),
-        ("still-image", frozen(206)),
+        ("still-image", lambda x: np.concatenate([x[:206], noisy(x[206:236]), x[236:]])),
     ],
 )
 def test_pictures_that_cannot_be_right_are_named(
@@ -320,15 +308,13 @@ def test_torques_are_those_of_the_force_at_the_tip(
 @pytest.mark.parametrize("factors", [(-1, 1), (4, 1), (1, 0.2)])
 def test_a_side_axis_is_told_by_two_shears(tmp_path: Path, factors: tuple[float, float]) -> None:
     def change(name: str, rows: Columns) -> Columns:
-        rows = dict(rows)
-        if name in ("pose", "force"):  # the second press is sheared along y
-            second = (rows["t_ns"] - rows["t_ns"][0] > 1_600_000_000)[:, None]
-            value = np.array(rows["value"], float)
-            origin = np.array([CONTACT_FRAME[0], CONTACT_FRAME[1]]) * (name == "pose")
-            aside = value[:, :2] - origin
-            value[:, :2] = np.where(second, aside[:, ::-1], aside) + origin
-            rows["value"] = value * (1 if name == "pose" else np.array([*factors, 1, 1, 1, 1]))
-        return rows
+        if name == "segments":
+            return rows
+        second = (rows["t_ns"] - rows["t_ns"][0] > 1_600_000_000)[:, None]  # is sheared along y
+        origin = np.array(CONTACT_FRAME[:2]) * (name == "pose")
+        aside = rows["value"][:, :2] - origin
+        aside = np.where(second, aside[:, ::-1], aside) * (factors if name == "force" else 1)
+        return {**rows, "value": np.hstack([aside + origin, rows["value"][:, 2:]])}
 
     path = make_session(tmp_path / "s.zarr", names=("force", "pose"), change=change)
     assert warned(path).get("shear-direction") == "streams/force/value"
@@ -342,7 +328,7 @@ def test_a_tool_that_is_turned_is_named(tmp_path: Path) -> None:
     assert "pose-speed" in warned(some)
     for turn, doubtful in ((0.1, True), (2 * np.pi, False)):
         path = edited(tmp_path / f"{turn}.zarr", "pose", pose(0, turn, 0), seconds=3.6)
-        assert (mounted(path, tool=[0.0, 0.0, 0.0])["pose-place pose"] > 1) == doubtful
+        assert (mounted(path, tool=[0, 0, 0])["pose-place pose"] > 1) == doubtful
 
 
 @pytest.mark.parametrize(
@@ -363,14 +349,12 @@ def test_a_picture_is_turned_as_the_bench_states(
     for stated in (0, 180):
         doubt = mounted(path, turned=np.radians(stated))["turned camera"]
         assert doubt <= 0.5 if stated == turned else doubt > 1
-    found = [str(each) for each in check(path) if each.code == "unverified"]
-    assert any("streams/camera: orientation not verified" in each for each in found)
 
 
 def pressed_taxels(rows: Columns) -> Any:
     """Return taxels whose sides move outwards under a press."""
     seconds = np.arange(len(rows["value"])) / 60
-    side = np.stack([PLACES[:, 0], PLACES[:, 1], 0 * PLACES[:, 0]], axis=1)
+    side = np.pad(PLACES, ((0, 0), (0, 1)))
     pressed = np.maximum(depth_at(seconds), 0) / DEPTH
     reach = np.exp(-np.linalg.norm(PLACES, axis=1) / 4.7e-3)[:, None]
     return rows["value"] + np.rint(2e5 * reach * side * pressed[:, None, None]).astype(np.int32)
@@ -386,7 +370,6 @@ PLACES = 4.7e-3 * (np.stack(np.mgrid[:4, :4][::-1], axis=-1).reshape(-1, 2) - 1.
         ("wrong-sign", lambda value: value * [1, 1, -1] + [0, 0, 60_000]),
         ("turned", lambda value: value * [-1, 1, 1] + [60_000, 0, 0]),
         ("wrong-sign", lambda value: value[..., [2, 1, 0]]),
-        ("turned", lambda value: value[..., [1, 0, 2]]),
         ("turned", lambda value: value.reshape(-1, 4, 4, 3)[:, :, ::-1].reshape(value.shape)),
         ("turned", lambda value: value.reshape(-1, 4, 4, 3).swapaxes(1, 2).reshape(value.shape)),
     ],
@@ -394,11 +377,13 @@ PLACES = 4.7e-3 * (np.stack(np.mgrid[:4, :4][::-1], axis=-1).reshape(-1, 2) - 1.
 def test_axes_and_order_of_taxels_are_told_by_presses(
     tmp_path: Path, code: str, edit: Callable[[Any], Any]
 ) -> None:
-    def taxels(rows: Columns) -> Any:
-        return edit(pressed_taxels(rows)).astype(np.int32)
-
-    names = ("taxels", "pose")
-    path = edited(tmp_path / "s.zarr", "taxels", taxels, names=names, seconds=3.6)
+    path = edited(
+        tmp_path / "s.zarr",
+        "taxels",
+        lambda rows: edit(pressed_taxels(rows)).astype(np.int32),
+        names=("taxels", "pose"),
+        seconds=3.6,
+    )
     found = mounted(path, turned=0.0, taxels=PLACES.tolist())
     doubtful = {name for name, doubt in found.items() if not doubt <= 0.5}
     assert f"{code} taxels" in doubtful if code else not doubtful
@@ -411,6 +396,7 @@ def test_what_only_a_shear_tells_is_not_verified_without_one(tmp_path: Path) -> 
         return rows
 
     path = make_session(tmp_path / "s.zarr", names=("camera", "force", "pose"), change=change)
-    found = [str(each) for each in check(path) if each.code == "unverified"]
-    assert len(found) == 3
-    assert "side axes and torques not verified" in found[2] or "side axes" in found[1]
+    found = " ".join(str(each) for each in check(path) if each.code == "unverified")
+    assert "streams/force/value: side axes and torques not verified" in found
+    assert "streams/camera: orientation not verified: the bench does not state it" in found
+    assert not [*plausible.doubts(Session(path), looked={})]

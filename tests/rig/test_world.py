@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from rig.bench.bench import BenchFile, find_bench, read_content
+from rig.bench.expected import mount_of
 from rig.bench.worlds import Grip, Lab, WorldSpec
 from rig.core.config import build
 from rig.core.errors import ConfigError
@@ -281,3 +282,11 @@ def test_the_truth_log_gives_back_what_was_logged_between_and_despite_a_torn_end
     np.testing.assert_allclose(
         truth.depth(times), np.interp(times, states["t_ns"], states["depth"]), atol=1e-9
     )
+
+
+def test_how_a_sensor_lies_is_stated() -> None:
+    camera = mount_of(WorldSpec("gelsight", gauge_depth=0.03, lab=Lab(camera_turned_deg=90)))
+    assert camera == {"turned": pytest.approx(math.pi / 2), "taxels": [], "gauge": [0, 0, -0.03]}
+    places = np.array(mount_of(WorldSpec("uskin"))["taxels"]).reshape(4, 4, 2)  # rows along y
+    assert (np.diff(places[..., 0], axis=1) > 0).all()
+    assert (np.diff(places[..., 1], axis=0) > 0).all()
