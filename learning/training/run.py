@@ -307,8 +307,6 @@ class LaunchSettings:
     """`auto` selects a GPU if there is one."""
     mixed_precision: Precision = "no"
     """Precision in which networks are evaluated; weights stay float32."""
-    deterministic: bool = False
-    """True to avoid kernels that sum in varying order, where alternatives exist."""
 
 
 def accelerator(settings: LaunchSettings) -> Accelerator:
@@ -325,8 +323,6 @@ def accelerator(settings: LaunchSettings) -> Accelerator:
     if settings.mixed_precision == "bf16" and not on_cpu and not torch.cuda.is_bf16_supported():
         name = torch.cuda.get_device_name()
         raise LearningError(f"mixed_precision: found bf16 on {name}; allowed: no, fp16")
-    if settings.deterministic:
-        torch.use_deterministic_algorithms(True, warn_only=True)
     if PartialState._shared_state and PartialState().num_processes == 1:
         # Accelerate keeps the options of the first training in a process; this one may differ.
         AcceleratorState._reset_state(reset_partial_state=True)
