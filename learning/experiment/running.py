@@ -59,7 +59,7 @@ def run_experiment(
         places, settings, pairs_of(archive, pairs), device, max(1, processes // jobs), say=say
     )
     try:
-        check_settings(settings, archive, device)
+        check_settings(settings, device)
     except LearningError as error:
         raise LearningError(f"{where}.{error}") from None
     _begin(experiment, archive)

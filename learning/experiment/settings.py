@@ -57,8 +57,6 @@ class ExperimentSettings:
 
     Batching keeps a GPU busy.
     """
-    memory: bool = True
-    """False: force models see each frame without earlier ones, an ablation of their memory."""
     seed: int = 0
     """Seed of the split, of the choice of presses, and of each training whose `set` has none."""
 

@@ -32,7 +32,6 @@ from learning.experiment.frames import (
     TESTED,
     as_images,
     flow_fields,
-    frames_of_a_press,
     load_some,
     look_of,
     thinned,
@@ -83,7 +82,7 @@ class Places:
 
 
 def force_settings(
-    experiment: ExperimentSettings, archive: MarkerArchive, device: str, *, tuning: bool = False
+    experiment: ExperimentSettings, device: str, *, tuning: bool = False
 ) -> ForceModelSettings:
     """Return the settings of force models; with `tuning`, of fine-tuning on translated frames."""
     changed = (
@@ -101,11 +100,7 @@ def force_settings(
             f"force: found {experiment.force.preset}, which sees marker fields; allowed: a model "
             "that sees images, which is what is translated"
         )
-    if experiment.memory:
-        return settings
-    # A step has as many frames as with whole presses.
-    batch = settings.sequences.batch * frames_of_a_press(archive)
-    return replace(settings, sequences=replace(settings.sequences, batch=batch))
+    return settings
 
 
 def translator_training(
@@ -127,7 +122,7 @@ def translator_training(
     return train_in, read_settings(kind, presets, choice.preset, overrides)
 
 
-def check_settings(experiment: ExperimentSettings, archive: MarkerArchive, device: str) -> None:
+def check_settings(experiment: ExperimentSettings, device: str) -> None:
     """Read the presets of all trainings, which are used only hours later."""
     for name in experiment.translators:
         try:
@@ -139,7 +134,7 @@ def check_settings(experiment: ExperimentSettings, archive: MarkerArchive, devic
         except LearningError as error:
             raise LearningError(f"{name}: {error}") from None
     for tuning in (False, True):
-        force_settings(experiment, archive, device, tuning=tuning)
+        force_settings(experiment, device, tuning=tuning)
 
 
 def by_formulae(settings: ExperimentSettings) -> bool:
@@ -388,7 +383,7 @@ class Experiment:
                 self.archive.indenters,
                 rows,
                 self.split.role(target.table["location"][rows]),
-                model.predict(self._as_seen(presses)),
+                model.predict(presses),
                 source=pair.source,
                 method=method,
                 translator=translator,
@@ -445,10 +440,10 @@ class Experiment:
             presses, held = frames()
             with session_of(run, settings.launch, f"steps of {name}") as session:
                 train_force(
-                    self._as_seen(presses),
+                    presses,
                     settings,
                     session,
-                    validation=() if held is None else self._as_seen(held),
+                    validation=() if held is None else held,
                     start_from=start_from,
                 )
         return folder, load_force_model(folder, self.device)
@@ -462,7 +457,7 @@ class Experiment:
         if not due:
             return
         name = f"steps of {len(due)} models, {due[0][0].name} first"
-        presses = [one.labelled(self._as_seen(frames[one.pair])) for one, _ in due]
+        presses = [one.labelled(frames[one.pair]) for one, _ in due]
         with session_of(RunFolder.nowhere(), settings.launch, name) as session:
             models = train_batched(presses, settings, session, start_from=own)
             steps = total_steps(presses[:1], settings)
@@ -474,7 +469,7 @@ class Experiment:
         return RunFolder.open(self.places.model(name), KIND, settings, data, keep=1)
 
     def _force_settings(self, *, tuning: bool = False) -> ForceModelSettings:
-        return force_settings(self.settings, self.archive, self.device, tuning=tuning)
+        return force_settings(self.settings, self.device, tuning=tuning)
 
     # Frames.
 
@@ -511,10 +506,6 @@ class Experiment:
             device=torch.device(self.device),
             form=form,
         )
-
-    def _as_seen(self, presses: Presses) -> Presses:
-        """Return presses as inputs of force models."""
-        return presses if self.settings.memory else presses.each_frame_alone()
 
     def _translated(
         self, pair: Pair, model: NamedTranslator, fields: dict[tuple[float, float], torch.Tensor]

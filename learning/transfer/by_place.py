@@ -100,7 +100,7 @@ class ByPlace:
         rows = rows[np.isin(location, matched)]
         if not len(rows):
             return trained
-        tuning = force_settings(settings, self.archive, device, tuning=True)
+        tuning = force_settings(settings, device, tuning=True)
         data = f"{archive_fingerprint(self.archive)} {split.fingerprint} {self.target} {name}"
         if self.relabelling is not None:
             data = f"{data} {self.relabelling.made_from}".rstrip()

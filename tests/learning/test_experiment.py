@@ -23,7 +23,6 @@ from learning.experiment import running, stages
 from learning.experiment.frames import (
     as_images,
     flow_fields,
-    frames_of_a_press,
     load_some,
     look_of,
     pairs_of,
@@ -255,19 +254,11 @@ def test_without_memory_every_frame_has_no_contact_before(archive: MarkerArchive
     assert torch.equal(alone.of_frame, torch.arange(packed.frames))
     assert torch.equal(alone.location, packed.location[packed.of_frame])
     assert alone.images is packed.images
-    assert frames_of_a_press(archive) == 9
-    batch = {
-        memory: force_settings(settings(f"memory={memory}"), archive, "cpu").sequences.batch
-        for memory in ("true", "false")
-    }
-    assert batch["false"] == 9 * batch["true"]
 
 
-def test_the_seed_of_an_experiment_is_that_of_its_trainings(
-    archive: MarkerArchive, tmp_path: Path
-) -> None:
+def test_the_seed_of_an_experiment_is_that_of_its_trainings() -> None:
     def begun(*changed: str) -> tuple[torch.Tensor, list[int]]:
-        chosen = force_settings(settings(*changed), archive, "cpu")
+        chosen = force_settings(settings(*changed), "cpu")
         labels = [torch.tensor([[-1.0, -1.0, -2.0], [1.0, 1.0, 0.0]])]
         model = initial_model(labels, chosen, None, CPU)
         passed = epoch([np.arange(0, 90, 9)], [0], chosen.sequences, chosen.seed, 0)
@@ -282,10 +273,10 @@ def test_the_seed_of_an_experiment_is_that_of_its_trainings(
     assert not torch.equal(weights, others)
     assert order != other_order
     for tuning in (False, True):
-        assert force_settings(settings("seed=2"), archive, "cpu", tuning=tuning).seed == 2
+        assert force_settings(settings("seed=2"), "cpu", tuning=tuning).seed == 2
     own = settings("seed=2", "fine_tuning=[seed=5]", "translators=[field]")
-    assert force_settings(own, archive, "cpu").seed == 2
-    assert force_settings(own, archive, "cpu", tuning=True).seed == 5
+    assert force_settings(own, "cpu").seed == 2
+    assert force_settings(own, "cpu", tuning=True).seed == 5
     training = translator_training(own, "field")
     assert training is not None
     assert training[1].seed == 2
