@@ -1,11 +1,8 @@
 """An experiment makes every result once, resumes where it stopped, and rejects other settings."""
 
 import json
-import threading
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -31,7 +28,7 @@ from learning.experiment.frames import (
     warp_presses,
 )
 from learning.experiment.settings import PRESETS, ExperimentSettings
-from learning.experiment.stages import Places, TaskResult, force_settings, translator_training
+from learning.experiment.stages import Places, force_settings, translator_training
 from learning.force.train import epoch, initial_model
 from learning.metrics import force_errors
 from learning.translation.flow import FlowTranslator
@@ -119,20 +116,6 @@ def test_an_experiment_goes_from_presses_to_a_report_and_makes_nothing_twice(
         run(archive, out, "models_per_batch=4")
 
 
-def test_pieces_side_by_side_give_what_they_give_one_after_the_other(
-    archive: MarkerArchive, done: tuple[Path, list[str]], tmp_path: Path
-) -> None:
-    out, reported = done
-    also: list[str] = []
-    running.run_experiment(
-        Places(tmp_path, archive.path), settings(), pairs=["dots:grid"], jobs=2, say=also.append
-    )
-    one, other = (sorted(line for line in lines if " to " in line) for lines in (reported, also))
-    assert one == other
-    alone, batched = (results(place, "compensated.flow") for place in (out, tmp_path))
-    assert np.array_equal(alone.predicted, batched.predicted)
-
-
 def test_models_trained_together_say_what_those_trained_alone_say(
     archive: MarkerArchive,
     done: tuple[Path, list[str]],
@@ -171,56 +154,6 @@ def test_the_papers_translator_is_chosen_like_any_other(
     with pytest.raises(LearningError, match=r"diffusion: weights\.base: found '' without unet"):
         run(archive, tmp_path / "other", "translators=[diffusion]")
     assert not (tmp_path / "other" / "models").exists()
-
-
-def test_a_piece_begins_when_what_it_needs_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
-    slow, quick = ("train", "slow"), ("train", "quick")
-    after_slow, after_quick = ("translated", "slow"), ("translated", "quick")
-    begun, went_on = [], threading.Event()
-
-    def do(piece: tuple[str, ...]) -> tuple[TaskResult, list[str]]:
-        begun.append(piece)
-        if piece == slow:
-            assert went_on.wait(10)
-        if piece == after_quick:
-            went_on.set()
-        return TaskResult(), [" ".join(piece)]
-
-    monkeypatch.setattr(running, "_do", do)
-    tasks: dict[tuple[str, ...], set[tuple[str, ...]]] = {
-        slow: set(),
-        after_slow: {slow},
-        quick: set(),
-        after_quick: {quick},
-    }
-    reported: list[str] = []
-    with ThreadPoolExecutor(2) as pool:
-        assert len(running._results_of(pool, tasks, reported.append)) == 4
-    # The slow job ends only when the one that depends on the quick job has begun.
-    assert begun[2:] == [after_quick, after_slow]
-    assert set(begun) == set(tasks)
-    for name in ("slow", "quick"):
-        assert reported.index(f"train {name}") < reported.index(f"translated {name}")
-    assert len(reported) == len(tasks)
-
-
-def test_a_process_that_was_stopped_begins_nothing_and_one_without_memory_says_so(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    experiment = Mock()
-    monkeypatch.setattr(running, "_experiment", experiment)
-    monkeypatch.setattr(running, "_stopped", False)
-    experiment.do.side_effect = torch.OutOfMemoryError("tried to allocate 150 MiB")
-    with pytest.raises(LearningError, match=r"jobs: found no memory left .* for own one beside"):
-        running._do(("own", "one"))
-    experiment.do.side_effect = KeyboardInterrupt
-    for name in ("two", "three"):
-        with pytest.raises(KeyboardInterrupt):
-            running._do(("own", name))
-    assert [call.args for call in experiment.do.call_args_list] == [
-        (("own", "one"),),
-        (("own", "two"),),
-    ]
 
 
 def test_presses_translated_together_are_those_translated_one_by_one(
