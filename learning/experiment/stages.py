@@ -450,7 +450,7 @@ class Experiment:
 
     def _open(self, name: str, settings: ForceModelSettings, data: str) -> RunFolder:
         data = f"{self._data} {data}"
-        return RunFolder.open(self.places.model(name), KIND, settings, data, keep=1)
+        return RunFolder.open(self.places.model(name), KIND, settings, data)
 
     def _force_settings(self, *, tuning: bool = False) -> ForceModelSettings:
         return force_settings(self.settings, self.device, tuning=tuning)

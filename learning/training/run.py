@@ -65,9 +65,9 @@ _RNG = "torch_rng"
 class RunFolder:
     """The folder of a training, made by `open`."""
 
-    def __init__(self, path: Path, config: Config, *, keep: int = 2, writes: bool = True) -> None:
+    def __init__(self, path: Path, config: Config, *, writes: bool = True) -> None:
         """Represent a folder that `open` has prepared."""
-        self.path, self.config, self.keep, self.writes = path, config, keep, writes
+        self.path, self.config, self.writes = path, config, writes
 
     @classmethod
     def open(
@@ -78,22 +78,18 @@ class RunFolder:
         data_fingerprint: str,
         *,
         metadata: Mapping[str, Any] | None = None,
-        keep: int = 2,
         writes: bool = True,
     ) -> Self:
         """Begin or resume a run; other settings or data than it was begun with are refused.
 
         `data_fingerprint` includes the split; `metadata` are plain values known before training
-        that are needed to use the model. The newest `keep` checkpoints stay, in addition to the
-        best. Of several processes only the main one `writes`.
+        that are needed to use the model. Of several processes only the main one `writes`.
         """
         folder = Path(path)
-        if keep < 1:
-            raise LearningError(f"keep: found {keep}; allowed: 1 and more")
         config = Config(
             kind, settings_to_dict(settings), data_fingerprint, code_version(), dict(metadata or {})
         )
-        run = cls(folder, config, keep=keep, writes=writes)
+        run = cls(folder, config, writes=writes)
         if not writes:
             return run
         if (folder / CONFIG).exists():
@@ -132,7 +128,7 @@ class RunFolder:
         *,
         score: float | None = None,
     ) -> Path:
-        """Write a checkpoint, then delete those that are not kept.
+        """Write a checkpoint, then delete all but the two newest and the best.
 
         `models` are networks by name, not wrapped by Accelerate; `model` is the one to use.
         `training` is other state needed to resume, by name: objects with a `state_dict`, such as
@@ -214,14 +210,12 @@ class RunFolder:
         step: int,
         models: Mapping[str, nn.Module | Mapping[str, Tensor]],
         *,
-        metadata: Mapping[str, Any] | None = None,
         score: float | None = None,
     ) -> None:
-        """Write networks by name and further `metadata`; `model` marks the run as finished."""
+        """Write networks by name; `model` marks the run as finished."""
         if not self.writes:
             return
-        metadata = {**self.config.metadata, **(metadata or {})}
-        self.config = replace(self.config, step=step, score=score, metadata=metadata)
+        self.config = replace(self.config, step=step, score=score)
         self.config.write(self.path)
         # `model` is written last, as it marks the run as finished.
         for name in sorted(models, key=lambda name: name == MODEL):
@@ -234,7 +228,7 @@ class RunFolder:
         return sorted(path for path in numbered if (path / CONFIG).is_file())
 
     def _prune(self) -> None:
-        retained = {*self._checkpoints()[-self.keep :], self.best()}
+        retained = {*self._checkpoints()[-2:], self.best()}
         for path in self._checkpoints():
             if path not in retained:
                 shutil.rmtree(path)

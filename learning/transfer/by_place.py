@@ -105,7 +105,7 @@ class ByPlace:
         if self.relabelling is not None:
             data = f"{data} {self.relabelling.made_from}".rstrip()
         folder = trained.with_name(f"{trained.name}.{name.replace(' ', '-')}")
-        run = RunFolder.open(folder, KIND, tuning, data, keep=1)
+        run = RunFolder.open(folder, KIND, tuning, data)
         if not run.finished:
             presses = load_presses(sensor, rows, device=device)
             labels = torch.from_numpy(self.expected[presses.rows.numpy()]).float()

@@ -52,7 +52,7 @@ def _train(folder: Path, until: int) -> Net:
     net = Net(toy.width)
     optimiser = torch.optim.AdamW(net.parameters())
     rate = Cosine(1e-2, steps=toy.steps, warm_up=5)
-    run = RunFolder.open(folder, "force", toy, "data")
+    run = RunFolder.open(folder, "force", toy, "data", metadata={"range": [1.0, 2.0]})
     for step in range(run.restore({"model": net}, {"optimiser": optimiser}), until):
         seed_torch(toy.seed, "step", step)
         values = torch.from_numpy(generator(toy.seed, "batch", step).normal(size=(16, 4)))
@@ -66,7 +66,7 @@ def _train(folder: Path, until: int) -> Net:
             states = {"optimiser": optimiser}
             run.save(step + 1, {"model": net}, states, score=abs(step - 14.0))
     if until == toy.steps:
-        run.finish(until, {"model": net}, metadata={"range": [1.0, 2.0]})
+        run.finish(until, {"model": net})
     return net
 
 
