@@ -58,12 +58,13 @@ class MarkerPicture:
             lit = cv2.multiply(self._lit, 255 - fraction, scale=1 / 255)
             self._clean = cv2.add(lit, cv2.multiply(self._ink, fraction, scale=1 / 255))
             self._rims = rims
+        picture: np.ndarray = self._clean
         if self._noise is None:
-            return self._clean
+            return picture
         top, left = self._rng.integers(0, 64, 2)
         more, less = (bank[top : top + HEIGHT, left : left + WIDTH] for bank in self._noise)
-        noisy: np.ndarray = cv2.subtract(cv2.add(self._clean, more), less)
-        return noisy
+        picture = cv2.subtract(cv2.add(picture, more), less)
+        return picture
 
 
 def coverage(rims: np.ndarray, canvas: np.ndarray | None = None) -> np.ndarray:
