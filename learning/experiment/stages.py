@@ -470,8 +470,7 @@ class Experiment:
     def _presses_tested(self, sensor: str) -> Presses:
         """Return a target's presses for which forces are predicted, as images."""
         if sensor not in self._tested:
-            most = self.settings.test_presses
-            presses = self._load(sensor, TESTED, most, form="images")
+            presses = self._load(sensor, TESTED, None, form="images")
             if not len(presses):
                 roles = ", ".join(TESTED)
                 raise LearningError(f"{sensor}: found no presses of {roles} in the split")
