@@ -95,11 +95,6 @@ class GuardLimits:
             )
         if not all(low < high for low, high in zip(*self.box, strict=True)):
             raise ValueError(f"box: {self.box}; allowed: lower corner below the upper one")
-        names = [name for name, _ in AXES]
-        if not self.axes_measured or not set(self.axes_measured) <= set(names):
-            raise ValueError(
-                f"axes_measured: {self.axes_measured}; allowed: one or more of {', '.join(names)}"
-            )
 
 
 @dataclass(frozen=True, slots=True)

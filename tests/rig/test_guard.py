@@ -248,8 +248,6 @@ def test_the_most_serious_reason_wins():
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ({"axes_measured": ()}, "axes_measured"),
-        ({"axes_measured": ("Fq",)}, "axes_measured"),
         ({"force_rating": (1.0,) * 5}, "force_rating"),
         ({"force_rating": (0.0,) * 6}, "force_rating"),
         ({"soft_fraction": 1.2}, "soft_fraction"),
