@@ -132,8 +132,7 @@ class RunFolder:
 
         `models` are networks by name, not wrapped by Accelerate; `model` is the one to use.
         `training` is other state needed to resume, by name: objects with a `state_dict`, such as
-        optimisers, or plain values; torch's generators are saved as well. A lower validation score
-        is better.
+        optimisers; torch's generators are saved as well. A lower validation score is better.
         """
         folder = self.path / CHECKPOINTS / f"{step:08d}"
         if not self.writes:
@@ -143,10 +142,7 @@ class RunFolder:
         building.mkdir(parents=True)
         for name, model in models.items():
             save_weights(model, building / f"{name}.safetensors")
-        states = {
-            name: value.state_dict() if hasattr(value, "state_dict") else value
-            for name, value in training.items()
-        }
+        states = {name: value.state_dict() for name, value in training.items()}
         states[_RNG] = {"cpu": torch.get_rng_state()}
         if torch.cuda.is_available():
             states[_RNG]["cuda"] = torch.cuda.get_rng_state()
@@ -179,8 +175,7 @@ class RunFolder:
     ) -> int:
         """Load the newest checkpoint into networks and optimisers; return the number of steps done.
 
-        That is 0 without a checkpoint; nothing changes then. Names are those of `save`; of
-        `training`, objects with a `load_state_dict` are restored.
+        That is 0 without a checkpoint; nothing changes then. Names are those of `save`.
         """
         folder = self.latest()
         if folder is None:
@@ -189,8 +184,6 @@ class RunFolder:
             load_weights(model, folder / f"{name}.safetensors")
         states = _read_training(folder / TRAINING)
         for name, value in (training or {}).items():
-            if not hasattr(value, "load_state_dict"):
-                continue
             if name not in states:
                 raise LearningError(f"{folder / TRAINING}: found no {name!r}")
             try:

@@ -4,6 +4,7 @@ import json
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -236,7 +237,7 @@ def test_damaged_weights_and_training_states_are_refused(tmp_path: Path) -> None
 def test_states_that_could_not_be_read_back_are_not_kept(tmp_path: Path) -> None:
     run = RunFolder.open(tmp_path / "run", "force", Toy(), "data")
     with pytest.raises(LearningError, match="not plain states"):
-        run.save(1, {"model": Net(8)}, {"path": tmp_path})
+        run.save(1, {"model": Net(8)}, {"course": SimpleNamespace(state_dict=lambda: tmp_path)})
     assert run.latest() is None
 
 
