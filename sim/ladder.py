@@ -244,11 +244,6 @@ class Ladder:
         return np.asarray(np.interp(self._fine_force, self._forces, self._travel))
 
     @cached_property
-    def _last_travel(self) -> float:
-        """Growth of `travel` with the depth beyond the deepest step."""
-        return self._last / float(self._stiffness[-1].mean())
-
-    @cached_property
     def _sides(self) -> list[tuple[Array, Array]]:
         return _sides(self._presses, _skin(self.body))
 
@@ -300,7 +295,7 @@ class Ladder:
 
         Over the coefficient of friction.
         """
-        beyond = self._last_travel * max(depth - self.depth_max, 0.0)
+        beyond = self._last / float(self._stiffness[-1].mean()) * max(depth - self.depth_max, 0.0)
         return float(np.interp(depth, self._fine, self._fine_travel)) + beyond
 
     def unit(self, depth: float) -> Array:

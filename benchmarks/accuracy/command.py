@@ -5,18 +5,11 @@ import argparse
 from benchmarks.accuracy import effects, frames, images, solvers, speed
 from benchmarks.processes import add_processes
 from benchmarks.report import Benchmark, Part
-from recorder.command_line.options import whole
 from recorder.processes import cores
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
     add_processes(parser, default=cores())
-    parser.add_argument(
-        "--scenes",
-        type=whole(),
-        metavar="N",
-        help="at most N random scenes for the table of effects (default: 60)",
-    )
     parser.add_argument(
         "--references",
         action="store_true",

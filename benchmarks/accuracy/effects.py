@@ -53,7 +53,7 @@ TRIALS: dict[str, tuple[Any, str]] = {
 # Pairs of runs, of which times are the minimum.
 REPEATS, QUICK_REPEATS = 7, 1
 
-# Number of random scenes whose table is checked, and most steps of each; `--scenes` may be lower.
+# Number of random scenes whose table is checked, and most steps of each.
 SCENES, SEED, STEPS_MAX = 60, 1, 40
 # Full solves of these scenes, and the time in which all of a scene must end [s].
 REFERENCE = Fem(fineness=0.4, elements_max=2000, tolerance=1e-3, path_tolerance=1e-2)
@@ -145,7 +145,7 @@ def measure(run: Run) -> dict[str, Any]:
     for one in costs:
         if one["numbers_off"] or one["shared_kernels"]:
             run.failures.append(f"{one['name']} leaves a trace when it is off")
-    count = 1 if run.quick else min(run.options.scenes or SCENES, SCENES)
+    count = 1 if run.quick else SCENES
     named = {one.name: one for one in scenes(count, run.folder)}
     rows = [*rows_of(run, table_errors, named, span_of(run.progress, 0.2, 0.8)).values()]
     run.seeds, run.spread = [SEED], f"minimum of {repeats} pairs of runs; single run of each scene"

@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 
 from learning.command import add_settings
-from recorder.command_line.options import add_device, add_value, names
+from recorder.command_line.options import add_device, names
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,7 +24,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_device(parser)
     about = "processes that track markers (all cores)"
     add("--processes", type=int, default=os.cpu_count() or 1, metavar="N", help=about)
-    add_value(parser, "--jobs", "N", 1, "models trained in parallel, as far as memory allows", int)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -41,7 +40,6 @@ def run(options: argparse.Namespace) -> int:
         pairs=options.pairs,
         device=options.device,
         processes=options.processes,
-        jobs=options.jobs,
         say=lambda line: print(line, flush=True),
         where=str(preset_path(PRESETS, options.preset)),
     )

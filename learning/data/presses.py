@@ -7,7 +7,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from learning.data.images import SIDE, shrink, shrink_masks, unpack_masks
@@ -307,26 +307,14 @@ class ForceRange:
             )
 
     @classmethod
-    def from_training(cls, wrench: Any, *, margin: float = 0.0) -> Self:
-        """Return the range of forces (n, 3) or wrenches (n, 6) [N]; NaN is no label.
+    def from_training(cls, forces: ArrayLike, *, margin: float = 0.0) -> Self:
+        """Return the range of forces (n, 3) [N]; NaN is no label.
 
         `margin` is the fraction of the range to add at both ends, as a sigmoid never reaches its
         limits.
         """
-        forces: NDArray[np.float64] = np.asarray(
-            wrench.cpu() if hasattr(wrench, "cpu") else wrench, np.float64
-        )
-        if forces.ndim != 2 or forces.shape[1] not in (3, 6) or not len(forces):
-            raise LearningError(f"wrench: found {forces.shape}; allowed: (n, 3) or (n, 6), n > 0")
-        if margin < 0:
-            raise LearningError(f"margin: found {margin}; allowed: 0 and more")
-        forces = forces[:, :3]
-        if np.isinf(forces).any():
-            row = int(np.flatnonzero(np.isinf(forces).any(axis=1))[0])
-            raise LearningError(f"wrench: found {forces[row]} in row {row}; allowed: finite forces")
+        forces = np.asarray(forces, np.float64)
         unknown = np.isnan(forces)
-        if unknown.all():
-            raise LearningError("wrench: found NaN in every row; allowed: one label or more")
         low = np.where(unknown, np.inf, forces).min(axis=0)
         high = np.where(unknown, -np.inf, forces).max(axis=0)
         never = unknown.all(axis=0)

@@ -151,7 +151,7 @@ class Split:
         }
         text = json.dumps(document, indent=2)
         # One line for each indenter is readable; one for each press would make thousands of lines.
-        return _joined(text) + "\n"
+        return _LIST.sub(lambda found: json.dumps(json.loads(found[0])), text) + "\n"
 
 
 def training_split(
@@ -303,8 +303,3 @@ def _require_among(what: str, names: Sequence[str], choices: Iterable[str]) -> N
     allowed = list(choices)
     if unknown := sorted(set(names) - set(allowed)):
         raise LearningError(f"{what}: found {', '.join(unknown)}; allowed: {', '.join(allowed)}")
-
-
-def _joined(text: str) -> str:
-    """Put lists of numbers, and lists of those, of indented JSON on one line."""
-    return _LIST.sub(lambda found: json.dumps(json.loads(found[0])), text)

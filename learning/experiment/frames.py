@@ -98,16 +98,6 @@ def as_images(presses: Presses) -> Presses:
     return replace(presses, form="images", images=images, references=references)
 
 
-def frames_of_a_press(archive: MarkerArchive) -> int:
-    """Return the mean number of frames of a located press over all sensors; at least 1."""
-    frames = presses = 0
-    for sensor in archive.values():
-        location = sensor.table["location"][sensor.table["valid"]]
-        frames += int(np.count_nonzero(location >= 0))
-        presses += len(np.unique(location[location >= 0]))
-    return max(1, round(frames / max(1, presses)))
-
-
 def thinned(split: Split, most: int, seed: int) -> Split:
     """Return a split with at most `most` presses of each tested role; others become validation."""
     presses: list[PressKey] = []

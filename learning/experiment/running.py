@@ -3,12 +3,9 @@
 Existing results are reused: an interrupted experiment continues where it stopped.
 """
 
-from collections.abc import Callable, Mapping, Sequence, Set
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 
 import numpy as np
-import torch
 
 from learning.config import require_same, settings_to_dict
 from learning.data.splits import make_split, read_split
@@ -22,12 +19,9 @@ from learning.experiment.stages import (
     TRANSFERRED,
     Experiment,
     Places,
-    Task,
-    TaskResult,
     check_settings,
 )
 from recorder.archive import MarkerArchive, archive_fingerprint
-from recorder.processes import Workers
 
 Say = Callable[[str], None]
 
@@ -39,27 +33,21 @@ def run_experiment(
     pairs: Sequence[str] | None = None,
     device: str = "cpu",
     processes: int = 1,
-    jobs: int = 1,
     say: Say = print,
     where: str = "settings",
 ) -> Report:
     """Run or continue an experiment and return its report.
 
     Its archive has frames of all sensors, labels and force-depth presses. `pairs` are
-    `SOURCE:TARGET`, by default all directed ones; `jobs` tasks run at once, each in its own process
-    if there are several, `processes` track markers. `say` is called with a line for each completed
-    part; `where` is the place of the settings in errors.
+    `SOURCE:TARGET`, by default all directed ones; `processes` track markers. `say` is called with a
+    line for each completed part; `where` is the place of the settings in errors.
     """
-    if jobs < 1:
-        raise LearningError(f"--jobs: found {jobs}; allowed: 1 or more")
     archive = MarkerArchive(places.archive)
     if archive.warning:
         raise LearningError(archive.warning)
-    experiment = Experiment(
-        places, settings, pairs_of(archive, pairs), device, max(1, processes // jobs), say=say
-    )
+    experiment = Experiment(places, settings, pairs_of(archive, pairs), device, processes, say=say)
     try:
-        check_settings(settings, archive, device)
+        check_settings(settings, device)
     except LearningError as error:
         raise LearningError(f"{where}.{error}") from None
     _begin(experiment, archive)
@@ -71,13 +59,7 @@ def run_experiment(
             f"{name}: no labels in training presses, so no model is trained on its own labels "
             "(target) and none compensates by them (oracle)"
         )
-    done = do_all(experiment, jobs)
-    return write_report(
-        [predictions for each in done for predictions in each.predictions],
-        [scores for each in done for scores in each.scores],
-        places.report,
-        title=settings.description,
-    )
+    return write_report(*experiment.run(), places.report, title=settings.description)
 
 
 def gained(rows: Sequence[ForceRow]) -> str:
@@ -112,70 +94,3 @@ def _begin(experiment: Experiment, archive: MarkerArchive) -> None:
     make_split(
         archive, validation=settings.validation, new_press=settings.new_press, seed=settings.seed
     ).write(paths.split)
-
-
-# Execution of the tasks, sequentially or in parallel.
-#
-# A small network keeps a GPU busy only part of the time; the rest is spent on launching its
-# kernels. Several processes fill the gaps.
-
-
-def do_all(experiment: Experiment, jobs: int) -> list[TaskResult]:
-    """Execute all tasks, each after those that it depends on, and return their results."""
-    if jobs == 1:
-        return [experiment.do(task) for task in experiment.tasks]
-    # A copy has none of the cached data, which each process reads for itself.
-    alike = replace(experiment, say=print)
-    with Workers(jobs, _begin_worker, alike, patient=True, fewer="fewer jobs") as workers:
-        return _results_of(workers, experiment.tasks, experiment.say)
-
-
-# The experiment in a process of the pool.
-_experiment: Experiment | None = None
-# Lines since the last task was done.
-_said: list[str] = []
-# Set by Ctrl-C: tasks already assigned to this process are not begun.
-_stopped = False
-
-
-def _begin_worker(experiment: Experiment) -> None:
-    global _experiment
-    _experiment = replace(experiment, say=_said.append)
-
-
-def _do(task: Task) -> tuple[TaskResult, list[str]]:
-    global _stopped
-    if _experiment is None:
-        raise RuntimeError("the pool has not begun")
-    if _stopped:
-        raise KeyboardInterrupt
-    _said.clear()
-    try:
-        done = _experiment.do(task)
-    except KeyboardInterrupt:
-        _stopped = True
-        raise
-    except torch.OutOfMemoryError as error:
-        raise LearningError(
-            f"jobs: found no memory left on the device for {' '.join(task)} beside the others; "
-            "allowed: fewer jobs (repeat the command to continue)"
-        ) from error
-    return done, [*_said]
-
-
-def _results_of(
-    pool: Workers | Executor, tasks: Mapping[Task, Set[Task]], say: Say
-) -> list[TaskResult]:
-    """Return results of tasks in order; each task starts when its dependencies are done."""
-    due, results = dict(tasks), dict[Task, TaskResult]()
-    running: dict[Future[tuple[TaskResult, list[str]]], Task] = {}
-    while due or running:
-        for task in [task for task, needed in due.items() if needed <= results.keys()]:
-            del due[task]
-            running[pool.submit(_do, task)] = task
-        for future in wait(running, return_when=FIRST_COMPLETED).done:
-            done, reported = future.result()
-            for line in reported:
-                say(line)
-            results[running.pop(future)] = done
-    return [results[task] for task in tasks]

@@ -48,8 +48,6 @@ class ExperimentSettings:
     """Fraction of the presses of seen indenters for the test."""
     train_presses: int | None = None
     """Number of training presses of force models, per source; none: all."""
-    test_presses: int | None = None
-    """Number of test presses of each role, per target; none: all."""
     scored_presses: int = 30
     """Number of presses of each role for scores of translations; 0: no scores."""
     models_per_batch: int = 1
@@ -57,8 +55,6 @@ class ExperimentSettings:
 
     Batching keeps a GPU busy.
     """
-    memory: bool = True
-    """False: force models see each frame without earlier ones, an ablation of their memory."""
     seed: int = 0
     """Seed of the split, of the choice of presses, and of each training whose `set` has none."""
 
@@ -68,5 +64,5 @@ class ExperimentSettings:
                 f"translators: found {self.translators}; allowed: flow, field, diffusion, each once"
             )
         require(self, "validation", "new_press", least=0, below=1)
-        require(self, "train_presses", "test_presses", "models_per_batch", least=1)
+        require(self, "train_presses", "models_per_batch", least=1)
         require(self, "scored_presses", least=0)

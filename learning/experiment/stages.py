@@ -5,7 +5,7 @@ Each result is a file; existing ones are read, not made again.
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from json import dumps
 from pathlib import Path
@@ -32,7 +32,6 @@ from learning.experiment.frames import (
     TESTED,
     as_images,
     flow_fields,
-    frames_of_a_press,
     load_some,
     look_of,
     thinned,
@@ -56,8 +55,6 @@ from recorder.progress import ItemProgress
 
 # Methods: the source's model as it is, and after fine-tuning on translated frames.
 BEFORE, TRANSFERRED = "source-only", "transferred"
-# Name of a method of `Experiment` and its arguments.
-Task = tuple[str, ...]
 
 
 class Places:
@@ -83,7 +80,7 @@ class Places:
 
 
 def force_settings(
-    experiment: ExperimentSettings, archive: MarkerArchive, device: str, *, tuning: bool = False
+    experiment: ExperimentSettings, device: str, *, tuning: bool = False
 ) -> ForceModelSettings:
     """Return the settings of force models; with `tuning`, of fine-tuning on translated frames."""
     changed = (
@@ -101,11 +98,7 @@ def force_settings(
             f"force: found {experiment.force.preset}, which sees marker fields; allowed: a model "
             "that sees images, which is what is translated"
         )
-    if experiment.memory:
-        return settings
-    # A step has as many frames as with whole presses.
-    batch = settings.sequences.batch * frames_of_a_press(archive)
-    return replace(settings, sequences=replace(settings.sequences, batch=batch))
+    return settings
 
 
 def translator_training(
@@ -127,7 +120,7 @@ def translator_training(
     return train_in, read_settings(kind, presets, choice.preset, overrides)
 
 
-def check_settings(experiment: ExperimentSettings, archive: MarkerArchive, device: str) -> None:
+def check_settings(experiment: ExperimentSettings, device: str) -> None:
     """Read the presets of all trainings, which are used only hours later."""
     for name in experiment.translators:
         try:
@@ -139,7 +132,7 @@ def check_settings(experiment: ExperimentSettings, archive: MarkerArchive, devic
         except LearningError as error:
             raise LearningError(f"{name}: {error}") from None
     for tuning in (False, True):
-        force_settings(experiment, archive, device, tuning=tuning)
+        force_settings(experiment, device, tuning=tuning)
 
 
 def by_formulae(settings: ExperimentSettings) -> bool:
@@ -156,14 +149,6 @@ def relabelling(
     if stored is None or method not in CHOICE_OF_METHOD:
         return None
     return compensated(stored.pair(pair.source, pair.target, CHOICE_OF_METHOD[method]))
-
-
-@dataclass(frozen=True, slots=True)
-class TaskResult:
-    """Result of a task."""
-
-    predictions: list[Predictions] = field(default_factory=list)
-    scores: list[TranslationScores] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,7 +180,7 @@ class Tuning:
 
 @dataclass(eq=False)
 class Experiment:
-    """An experiment, whose tasks can run in several processes; caches what several tasks read."""
+    """An experiment; caches what several of its parts read."""
 
     places: Places
     settings: ExperimentSettings
@@ -204,7 +189,7 @@ class Experiment:
     device: str = "cpu"
     """Device of training and translation."""
     processes: int = 1
-    """Number of processes that track markers, per task."""
+    """Number of processes that track markers."""
     unlabelled: frozenset[str] = frozenset()
     """Targets without labels in training presses: no model is trained on their labels."""
     say: Callable[[str], None] = print
@@ -233,47 +218,42 @@ class Experiment:
     def _data(self) -> str:
         return f"{archive_fingerprint(self.archive)} {self.split.fingerprint}"
 
-    @property
-    def tasks(self) -> dict[Task, frozenset[Task]]:
-        """All tasks, the longest first, and the tasks that each depends on.
+    def run(self) -> tuple[list[Predictions], list[TranslationScores]]:
+        """Make every part, and return predictions and scores.
 
-        There is one for each translator, one for compensation, and one for each sensor: its force
-        model, and predictions on its own frames and on others'. One for each source and translator
-        follows: models fine-tuned on translated frames, and scores of translations.
+        Each sensor has its own force model, and predictions on its own frames and on others'. Each
+        source and translator has models that are fine-tuned on translated frames.
         """
-        sources = tuple(dict.fromkeys(pair.source for pair in self.pairs))
+        for name in self.settings.translators:
+            self.train(name)
+        if by_formulae(self.settings):
+            self.compensate()
+        sources = dict.fromkeys(pair.source for pair in self.pairs)
         sensors = dict.fromkeys([*sources, *(pair.target for pair in self.pairs)])
-        fitted: list[Task] = [("compensate",)] if by_formulae(self.settings) else []
-        alone: list[Task] = [
-            *(("train", name) for name in self.settings.translators),
-            *fitted,
-            *(("own", sensor) for sensor in sensors if sensor not in self.unlabelled),
-        ]
-        return {task: frozenset() for task in alone} | {
-            ("translated", source, name): frozenset([("train", name), *fitted, ("own", source)])
-            for source in sources
-            for name in self.settings.translators
-        }
+        predictions: list[Predictions] = []
+        scores: list[TranslationScores] = []
+        for sensor in sensors:
+            if sensor not in self.unlabelled:
+                predictions += self.own(sensor)
+        for source in sources:
+            for name in self.settings.translators:
+                more, some = self.translated(source, name)
+                predictions += more
+                scores += some
+        return predictions, scores
 
-    def do(self, task: Task) -> TaskResult:
-        """Execute a task and return its result."""
-        name, *arguments = task
-        done: TaskResult = getattr(self, name)(*arguments)
-        return done
-
-    def train(self, name: str) -> TaskResult:
+    def train(self, name: str) -> None:
         """Train a translator, if it needs training."""
         launched = f"launch.device={torch.device(self.device).type}"
         if (training := translator_training(self.settings, name, launched)) is not None:
             train_in, settings = training
             train_in(self.places.model(name), self.archive, self.split, settings)
-        return TaskResult()
 
-    def compensate(self) -> TaskResult:
+    def compensate(self) -> None:
         """Fit priors of skins, and choose the compensation of each pair."""
         out = self.places.compensation
         if out.exists():
-            return TaskResult()
+            return
         # An unlabelled target may have no force-depth curve.
         missing = self.unlabelled
         if missing:
@@ -284,19 +264,18 @@ class Experiment:
         if pairs:
             lines = write_compensation(self.archive, out, pairs=pairs, split=self.places.split)
             self.say("\n".join(lines))
-        return TaskResult()
 
-    def own(self, sensor: str) -> TaskResult:
+    def own(self, sensor: str) -> list[Predictions]:
         """Train a sensor's own model; predict its own forces and those of its targets."""
         comparisons = [(pair, BEFORE) for pair in self.pairs if pair.source == sensor]
         if any(pair.target == sensor for pair in self.pairs):
             comparisons.append((Pair(sensor, sensor), TARGET))
         model = partial(self._own_model, sensor)
-        return TaskResult(
-            [self._predicted(pair, method, "", model) for pair, method in comparisons]
-        )
+        return [self._predicted(pair, method, "", model) for pair, method in comparisons]
 
-    def translated(self, source: str, name: str) -> TaskResult:
+    def translated(
+        self, source: str, name: str
+    ) -> tuple[list[Predictions], list[TranslationScores]]:
         """Fine-tune models on a source's translated frames; predict targets, score translations."""
         folder: str | Path = name if name == FLOW else self.places.model(name)
         translator = NamedTranslator(
@@ -326,7 +305,7 @@ class Experiment:
                 model = partial(self._tuned_model, one, frames)
                 predictions.append(self._predicted(one.pair, one.method, name, model))
         self._frames.pop(source, None)
-        return TaskResult(predictions, self._scores(source, pairs, translator))
+        return predictions, self._scores(source, pairs, translator)
 
     def _compensated(self, pair: Pair, stored: StoredCompensation | None) -> list[str]:
         """Return the kinds of compensated labels; an unlabelled target may lack some or all."""
@@ -388,7 +367,7 @@ class Experiment:
                 self.archive.indenters,
                 rows,
                 self.split.role(target.table["location"][rows]),
-                model.predict(self._as_seen(presses)),
+                model.predict(presses),
                 source=pair.source,
                 method=method,
                 translator=translator,
@@ -445,10 +424,10 @@ class Experiment:
             presses, held = frames()
             with session_of(run, settings.launch, f"steps of {name}") as session:
                 train_force(
-                    self._as_seen(presses),
+                    presses,
                     settings,
                     session,
-                    validation=() if held is None else self._as_seen(held),
+                    validation=() if held is None else held,
                     start_from=start_from,
                 )
         return folder, load_force_model(folder, self.device)
@@ -462,7 +441,7 @@ class Experiment:
         if not due:
             return
         name = f"steps of {len(due)} models, {due[0][0].name} first"
-        presses = [one.labelled(self._as_seen(frames[one.pair])) for one, _ in due]
+        presses = [one.labelled(frames[one.pair]) for one, _ in due]
         with session_of(RunFolder.nowhere(), settings.launch, name) as session:
             models = train_batched(presses, settings, session, start_from=own)
             steps = total_steps(presses[:1], settings)
@@ -471,10 +450,10 @@ class Experiment:
 
     def _open(self, name: str, settings: ForceModelSettings, data: str) -> RunFolder:
         data = f"{self._data} {data}"
-        return RunFolder.open(self.places.model(name), KIND, settings, data, keep=1)
+        return RunFolder.open(self.places.model(name), KIND, settings, data)
 
     def _force_settings(self, *, tuning: bool = False) -> ForceModelSettings:
-        return force_settings(self.settings, self.archive, self.device, tuning=tuning)
+        return force_settings(self.settings, self.device, tuning=tuning)
 
     # Frames.
 
@@ -491,8 +470,7 @@ class Experiment:
     def _presses_tested(self, sensor: str) -> Presses:
         """Return a target's presses for which forces are predicted, as images."""
         if sensor not in self._tested:
-            most = self.settings.test_presses
-            presses = self._load(sensor, TESTED, most, form="images")
+            presses = self._load(sensor, TESTED, None, form="images")
             if not len(presses):
                 roles = ", ".join(TESTED)
                 raise LearningError(f"{sensor}: found no presses of {roles} in the split")
@@ -511,10 +489,6 @@ class Experiment:
             device=torch.device(self.device),
             form=form,
         )
-
-    def _as_seen(self, presses: Presses) -> Presses:
-        """Return presses as inputs of force models."""
-        return presses if self.settings.memory else presses.each_frame_alone()
 
     def _translated(
         self, pair: Pair, model: NamedTranslator, fields: dict[tuple[float, float], torch.Tensor]

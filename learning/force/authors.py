@@ -65,7 +65,7 @@ def import_force_weights(file: Path, out: Path, *, marker_value: float = 1.0) ->
     box = {name: getattr(model, name) for name in ("low", "high")}
     load_weights(model, {**_renamed(tensors), **box}, str(file))
     data = f"{file.name} {weights_hash(file)}"
-    run = RunFolder.open(out, KIND, settings, data, keep=1)
+    run = RunFolder.open(out, KIND, settings, data)
     if not run.finished:
         run.finish(0, {"model": model})
     return model.eval()

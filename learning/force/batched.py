@@ -140,7 +140,7 @@ def _require_alike(presses: Sequence[Presses], settings: ForceModelSettings) -> 
         if is_set:
             raise LearningError(
                 f"{key}: found a setting that needs one model at a time; allowed for several: "
-                "norms none, instance or group, precision no or bf16"
+                "norms none or instance, precision no or bf16"
             )
 
 

@@ -42,9 +42,9 @@ _SIDES = (256, 128, 64, 32)
 class InputSettings:
     """Network input computed from a frame."""
 
-    form: Literal["image", "difference", "both", "field", "shading"] = "both"
-    """The image, the image minus the reference, image and difference as two channels, the measured
-    marker field (dx, dy, change of log area), or the shading of a gel without markers."""
+    form: Literal["image", "both", "field", "shading"] = "both"
+    """The image, image and image minus reference as two channels, the measured marker field (dx,
+    dy, change of log area), or the shading of a gel without markers."""
     side_px: int = 256
     """Side to which images are averaged down; fields have a fixed side."""
     channels: int = 1
@@ -65,10 +65,9 @@ class InputSettings:
         if self.side_px not in _SIDES:
             allowed = ", ".join(map(str, _SIDES))
             raise LearningError(f"side_px: found {self.side_px}; allowed: {allowed}")
-        if self.channels not in (1, 3) or (self.channels == 3 and self.form not in _SINGLE):
-            single = " or ".join(_SINGLE)
+        if self.channels not in (1, 3) or (self.channels == 3 and self.form != "image"):
             raise LearningError(
-                f"channels: found {self.channels}; allowed: 1, or 3 if form is {single}"
+                f"channels: found {self.channels}; allowed: 1, or 3 if form is image"
             )
         if self.imagenet and self.channels != 3:
             raise LearningError("imagenet: found true; allowed: only if channels is 3")
@@ -96,10 +95,7 @@ class InputSettings:
     @property
     def needs_reference(self) -> bool:
         """True if the image without contact is needed in addition to a frame."""
-        return self.form in ("difference", "both")
-
-
-_SINGLE = ("image", "difference")
+        return self.form == "both"
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,8 +110,8 @@ class ForceNetworkSettings:
     """Channels of the hidden state of the convolutional GRU."""
     tail: tuple[int, int] = (256, 512)
     """Channels of the two residual blocks after it, each of which halves the side."""
-    encoder_norm: Literal["instance", "batch", "group", "none"] = "instance"
-    tail_norm: Literal["batch", "group", "none"] = "batch"
+    encoder_norm: Literal["instance", "batch", "none"] = "instance"
+    tail_norm: Literal["batch", "none"] = "batch"
     tail_block: Literal["resnet", "raft"] = "resnet"
     """Residual blocks of the tail: as in ResNet-18, or as in the encoder (authors' code), which
     have biases and a ReLU at the end of their branch."""
@@ -123,27 +119,19 @@ class ForceNetworkSettings:
     """Fraction of the encoder's channels dropped during training."""
 
     def __post_init__(self) -> None:
-        widths = (*self.encoder, self.memory, *self.tail)
-        if min(widths) < 4 or any(width % 4 for width in widths):
-            raise LearningError(f"encoder, memory, tail: found {widths}; allowed: multiples of 4")
-        require(self, "blocks", least=1)
+        require(self, "encoder", "blocks", "memory", "tail", least=1)
         require(self, "dropout", least=0, below=1)
 
 
 # Parts of the force model: residual blocks, encoders and the convolutional GRU.
 
-# Channels per group of a group norm; all widths are multiples of it.
-_GROUP = 4
-
 
 def norm(kind: str, channels: int) -> nn.Module:
-    """Return a normalisation layer: instance, batch, group or none."""
+    """Return a normalisation layer: instance, batch or none."""
     if kind == "instance":
         return nn.InstanceNorm2d(channels)
     if kind == "batch":
         return nn.BatchNorm2d(channels)
-    if kind == "group":
-        return nn.GroupNorm(channels // _GROUP, channels)
     return nn.Identity()
 
 
@@ -455,8 +443,7 @@ def prepare(frames: Tensor, references: Tensor | None, inputs: InputSettings) ->
                 f"reference: missing; input {inputs.form} needs the image without contact"
             )
         require_stored(references, inputs, "reference")
-        difference = image - _reduced(references, inputs)
-        image = difference if inputs.form == "difference" else torch.cat((image, difference), dim=1)
+        image = torch.cat((image, image - _reduced(references, inputs)), dim=1)
     if inputs.channels == 3:
         image = image.expand(-1, 3, -1, -1)
     if inputs.imagenet:

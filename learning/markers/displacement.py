@@ -194,6 +194,8 @@ ROUNDS = 5
 MERGED = 1.5
 _CUTS = 6  # iterations of dividing a patch
 _LONE_PITCH = 80.0  # px, assumed for a single marker
+# Smoothing of the spline: centres of patches are off by a tenth of a pixel, so fields may be too.
+SMOOTHING = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,7 +213,7 @@ class Match:
 class Matcher:
     """Finds the markers of one reference in frames; remembers the previous frame."""
 
-    def __init__(self, reference: Masks, *, smoothing: float) -> None:
+    def __init__(self, reference: Masks) -> None:
         """Index the markers by their order in the reference (480, 640)."""
         patches = find_blobs(reference[None], SMALLEST_PX)
         # Markers at the border are excluded, as their visible centre moves with the cut.
@@ -220,7 +222,7 @@ class Matcher:
             raise LearningError(f"reference: found no marker of {SMALLEST_PX} px or more")
         self.markers: Floats = patches.centre[chosen]
         self.area = patches.area[chosen].astype(np.float64)
-        self.spline = Spline(self.markers, smoothing=smoothing)
+        self.spline = Spline(self.markers, smoothing=SMOOTHING)
         self.pitch_px = pitch(self.markers) or _LONE_PITCH
         self._all_cut = not patches.whole.any()
         self.restart()
@@ -343,8 +345,6 @@ def _parted(pixels: Floats, claims: Floats) -> tuple[Floats, list[int]]:
 LATTICE = Lattice()
 # Rows and columns of the maps for force models.
 MAP_SIDE = 32
-# Smoothing of the spline: centres of patches are off by a tenth of a pixel, so fields may be too.
-SMOOTHING = 0.02
 
 _MIDDLE = np.array([(WIDTH - 1) / 2, (HEIGHT - 1) / 2])
 
@@ -352,9 +352,9 @@ _MIDDLE = np.array([(WIDTH - 1) / 2, (HEIGHT - 1) / 2])
 class FieldReader:
     """Computes fields from the frames of one sensor and reference; caches matrices."""
 
-    def __init__(self, reference: Masks, *, smoothing: float = SMOOTHING) -> None:
-        """Find the markers of the reference (480, 640); `smoothing` is that of the `Spline`."""
-        self._matcher = Matcher(reference, smoothing=smoothing)
+    def __init__(self, reference: Masks) -> None:
+        """Find the markers of the reference (480, 640)."""
+        self._matcher = Matcher(reference)
         self._operators: dict[tuple[float, float], Floats] = {}
 
     @property

@@ -65,9 +65,9 @@ _RNG = "torch_rng"
 class RunFolder:
     """The folder of a training, made by `open`."""
 
-    def __init__(self, path: Path, config: Config, *, keep: int = 2, writes: bool = True) -> None:
+    def __init__(self, path: Path, config: Config, *, writes: bool = True) -> None:
         """Represent a folder that `open` has prepared."""
-        self.path, self.config, self.keep, self.writes = path, config, keep, writes
+        self.path, self.config, self.writes = path, config, writes
 
     @classmethod
     def open(
@@ -78,22 +78,18 @@ class RunFolder:
         data_fingerprint: str,
         *,
         metadata: Mapping[str, Any] | None = None,
-        keep: int = 2,
         writes: bool = True,
     ) -> Self:
         """Begin or resume a run; other settings or data than it was begun with are refused.
 
         `data_fingerprint` includes the split; `metadata` are plain values known before training
-        that are needed to use the model. The newest `keep` checkpoints stay, in addition to the
-        best. Of several processes only the main one `writes`.
+        that are needed to use the model. Of several processes only the main one `writes`.
         """
         folder = Path(path)
-        if keep < 1:
-            raise LearningError(f"keep: found {keep}; allowed: 1 and more")
         config = Config(
             kind, settings_to_dict(settings), data_fingerprint, code_version(), dict(metadata or {})
         )
-        run = cls(folder, config, keep=keep, writes=writes)
+        run = cls(folder, config, writes=writes)
         if not writes:
             return run
         if (folder / CONFIG).exists():
@@ -132,12 +128,11 @@ class RunFolder:
         *,
         score: float | None = None,
     ) -> Path:
-        """Write a checkpoint, then delete those that are not kept.
+        """Write a checkpoint, then delete all but the two newest and the best.
 
         `models` are networks by name, not wrapped by Accelerate; `model` is the one to use.
         `training` is other state needed to resume, by name: objects with a `state_dict`, such as
-        optimisers, or plain values; torch's generators are saved as well. A lower validation score
-        is better.
+        optimisers; torch's generators are saved as well. A lower validation score is better.
         """
         folder = self.path / CHECKPOINTS / f"{step:08d}"
         if not self.writes:
@@ -147,10 +142,7 @@ class RunFolder:
         building.mkdir(parents=True)
         for name, model in models.items():
             save_weights(model, building / f"{name}.safetensors")
-        states = {
-            name: value.state_dict() if hasattr(value, "state_dict") else value
-            for name, value in training.items()
-        }
+        states = {name: value.state_dict() for name, value in training.items()}
         states[_RNG] = {"cpu": torch.get_rng_state()}
         if torch.cuda.is_available():
             states[_RNG]["cuda"] = torch.cuda.get_rng_state()
@@ -183,8 +175,7 @@ class RunFolder:
     ) -> int:
         """Load the newest checkpoint into networks and optimisers; return the number of steps done.
 
-        That is 0 without a checkpoint; nothing changes then. Names are those of `save`; of
-        `training`, objects with a `load_state_dict` are restored.
+        That is 0 without a checkpoint; nothing changes then. Names are those of `save`.
         """
         folder = self.latest()
         if folder is None:
@@ -193,8 +184,6 @@ class RunFolder:
             load_weights(model, folder / f"{name}.safetensors")
         states = _read_training(folder / TRAINING)
         for name, value in (training or {}).items():
-            if not hasattr(value, "load_state_dict"):
-                continue
             if name not in states:
                 raise LearningError(f"{folder / TRAINING}: found no {name!r}")
             try:
@@ -214,14 +203,12 @@ class RunFolder:
         step: int,
         models: Mapping[str, nn.Module | Mapping[str, Tensor]],
         *,
-        metadata: Mapping[str, Any] | None = None,
         score: float | None = None,
     ) -> None:
-        """Write networks by name and further `metadata`; `model` marks the run as finished."""
+        """Write networks by name; `model` marks the run as finished."""
         if not self.writes:
             return
-        metadata = {**self.config.metadata, **(metadata or {})}
-        self.config = replace(self.config, step=step, score=score, metadata=metadata)
+        self.config = replace(self.config, step=step, score=score)
         self.config.write(self.path)
         # `model` is written last, as it marks the run as finished.
         for name in sorted(models, key=lambda name: name == MODEL):
@@ -234,7 +221,7 @@ class RunFolder:
         return sorted(path for path in numbered if (path / CONFIG).is_file())
 
     def _prune(self) -> None:
-        retained = {*self._checkpoints()[-self.keep :], self.best()}
+        retained = {*self._checkpoints()[-2:], self.best()}
         for path in self._checkpoints():
             if path not in retained:
                 shutil.rmtree(path)
@@ -307,8 +294,6 @@ class LaunchSettings:
     """`auto` selects a GPU if there is one."""
     mixed_precision: Precision = "no"
     """Precision in which networks are evaluated; weights stay float32."""
-    deterministic: bool = False
-    """True to avoid kernels that sum in varying order, where alternatives exist."""
 
 
 def accelerator(settings: LaunchSettings) -> Accelerator:
@@ -325,8 +310,6 @@ def accelerator(settings: LaunchSettings) -> Accelerator:
     if settings.mixed_precision == "bf16" and not on_cpu and not torch.cuda.is_bf16_supported():
         name = torch.cuda.get_device_name()
         raise LearningError(f"mixed_precision: found bf16 on {name}; allowed: no, fp16")
-    if settings.deterministic:
-        torch.use_deterministic_algorithms(True, warn_only=True)
     if PartialState._shared_state and PartialState().num_processes == 1:
         # Accelerate keeps the options of the first training in a process; this one may differ.
         AcceleratorState._reset_state(reset_partial_state=True)

@@ -100,12 +100,12 @@ class ByPlace:
         rows = rows[np.isin(location, matched)]
         if not len(rows):
             return trained
-        tuning = force_settings(settings, self.archive, device, tuning=True)
+        tuning = force_settings(settings, device, tuning=True)
         data = f"{archive_fingerprint(self.archive)} {split.fingerprint} {self.target} {name}"
         if self.relabelling is not None:
             data = f"{data} {self.relabelling.made_from}".rstrip()
         folder = trained.with_name(f"{trained.name}.{name.replace(' ', '-')}")
-        run = RunFolder.open(folder, KIND, tuning, data, keep=1)
+        run = RunFolder.open(folder, KIND, tuning, data)
         if not run.finished:
             presses = load_presses(sensor, rows, device=device)
             labels = torch.from_numpy(self.expected[presses.rows.numpy()]).float()

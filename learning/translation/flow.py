@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from learning.data.images import warp
-from learning.markers.displacement import LATTICE, SMOOTHING, FieldReader, edge_level
+from learning.markers.displacement import LATTICE, FieldReader, edge_level
 from learning.translation.translator import FLOW, SensorView, require_masks, source_reference_of
 from recorder.markers import pack, unpack
 
@@ -47,8 +47,6 @@ class FlowTranslator:
     """View of the source; None: the same as the target's."""
     target: SensorView | None = None
     """View of the target."""
-    smoothing: float = SMOOTHING
-    """Smoothing of the field: how far it may deviate from the markers to bend less (`Spline`)."""
 
     @property
     def name(self) -> str:
@@ -75,7 +73,7 @@ class FlowTranslator:
         if not len(source):
             return source.clone()
         source_reference = source_reference_of(source, source_reference, ordered=ordered)
-        reader = _reader(pack(source_reference.cpu().numpy()).tobytes(), self.smoothing)
+        reader = _reader(pack(source_reference.cpu().numpy()).tobytes())
         fields = reader.displacement(
             source.cpu().numpy(), ordered=ordered, source=self.source, target=self.target
         )
@@ -83,5 +81,5 @@ class FlowTranslator:
 
 
 @functools.lru_cache(maxsize=_REFERENCES)
-def _reader(packed: bytes, smoothing: float) -> FieldReader:
-    return FieldReader(unpack(np.frombuffer(packed, np.uint8)), smoothing=smoothing)
+def _reader(packed: bytes) -> FieldReader:
+    return FieldReader(unpack(np.frombuffer(packed, np.uint8)))

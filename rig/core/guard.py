@@ -79,8 +79,6 @@ class GuardLimits:
     """A pose record older than this stops the arm [s]."""
     force_status_mask: int = 0
     """Status bits of the F/T sensor that mark its values as invalid (saturation and others)."""
-    combined_fraction: float | None = None
-    """Limit on the summed fractions of (Fxy, Tz) and (Fz, Txy); ATI's rule is 1.05. None: off."""
     axes_measured: tuple[str, ...] = tuple(name for name, _ in AXES)
     """Axes that the F/T sensor measures; values of the others are ignored, NaN or not."""
     dome_radius: float | None = None
@@ -97,11 +95,6 @@ class GuardLimits:
             )
         if not all(low < high for low, high in zip(*self.box, strict=True)):
             raise ValueError(f"box: {self.box}; allowed: lower corner below the upper one")
-        names = [name for name, _ in AXES]
-        if not self.axes_measured or not set(self.axes_measured) <= set(names):
-            raise ValueError(
-                f"axes_measured: {self.axes_measured}; allowed: one or more of {', '.join(names)}"
-            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -358,23 +351,15 @@ class ForceGuard:
         return None
 
     def _loads(self, force: list[float]) -> list[float]:
-        """Return the load on each axis as a fraction of its rating, then limited combined loads."""
+        """Return the load on each axis as a fraction of its rating."""
         rating = self._limits.force_rating
-        loads = [abs(value) / most for value, most in zip(force, rating, strict=True)]
-        if self._limits.combined_fraction is not None:
-            fx, fy, fz, tx, ty, tz = loads
-            for total in (math.hypot(fx, fy) + tz, fz + math.hypot(tx, ty)):
-                loads.append(total / self._limits.combined_fraction)
-        return loads
+        return [abs(value) / most for value, most in zip(force, rating, strict=True)]
 
-    def _said(self, load: int, force: list[float]) -> tuple[str, str]:
-        """Return the name and the text of a load, by its index in `_loads`."""
-        fraction = self._loads(force)[load]
-        if load < len(AXES):
-            (name, unit), most = AXES[load], self._limits.force_rating[load]
-            return name, f"{force[load]:.3g} {unit} ({fraction:.0%} of {most:g} {unit})"
-        name = ("Fxy and Tz together", "Fz and Txy together")[load - len(AXES)]
-        return name, f"{fraction * (self._limits.combined_fraction or 1):.0%} of their ratings"
+    def _said(self, axis: int, force: list[float]) -> tuple[str, str]:
+        """Return the name and the text of the load on an axis, by its index."""
+        (name, unit), most = AXES[axis], self._limits.force_rating[axis]
+        fraction = abs(force[axis]) / most
+        return name, f"{force[axis]:.3g} {unit} ({fraction:.0%} of {most:g} {unit})"
 
     def _predict(self) -> list[float] | None:
         """Return the wrench `horizon` after the newest sample, or None with too few samples.

@@ -10,26 +10,10 @@ from pathlib import Path
 from typing import cast, get_args
 
 from recorder.command_line.options import add_device, add_value, numbers, positive, whole
+from sim import indenters
 from sim.device import ready_device
 from sim.errors import SceneError
 from sim.fem import Fem
-from sim.indenters import (
-    NAMES,
-    UNITS,
-    UPS,
-    Indenter,
-    bar,
-    box,
-    cone,
-    flat_punch,
-    from_stl,
-    named,
-    plane,
-    rounded_cone,
-    sphere,
-    torus,
-    tube,
-)
 from sim.indenters.solid import REACH, Unit, Up
 from sim.layer import Layer
 from sim.scene import (
@@ -72,16 +56,16 @@ def branches(text: str) -> tuple[tuple[float, float], ...] | None:
 
 # Shapes by measure: the parameters of each but an edge radius are its measures, lengths [mm],
 # `half_angle` [deg].
-SHAPES: dict[str, Callable[..., Indenter]] = {
-    "sphere": sphere,
-    "punch": flat_punch,
-    "cone": cone,
-    "rounded-cone": rounded_cone,
-    "box": box,
-    "bar": bar,
-    "torus": torus,
-    "tube": tube,
-    "plane": plane,
+SHAPES: dict[str, Callable[..., indenters.Indenter]] = {
+    "sphere": indenters.sphere,
+    "punch": indenters.flat_punch,
+    "cone": indenters.cone,
+    "rounded-cone": indenters.rounded_cone,
+    "box": indenters.box,
+    "bar": indenters.bar,
+    "torus": indenters.torus,
+    "tube": indenters.tube,
+    "plane": indenters.plane,
 }
 # Radius of every convex edge, which each shape and file may be given.
 EDGE = "edge_radius"
@@ -108,12 +92,11 @@ def add_indenter_options(parser: argparse.ArgumentParser) -> None:
         "--shape",
         default="sphere",
         metavar="NAME[:KEY=VALUE,...]",
-        help=f"one of {', '.join(NAMES)}; or a shape with its measures, lengths in [mm], angles in "
-        f"[deg]: {by_measure}; or an STL file, with unit={'|'.join(UNITS)} (mm) and "
-        f"up={'|'.join(UPS)}, the axis that points away from the skin (+z), or a YAML file of "
-        f"parts. {EDGE}= rounds every "
-        f"convex edge (named shapes: their own, else {EDGE_MM} as far as there is room) "
-        "(%(default)s)",
+        help=f"one of {', '.join(indenters.NAMES)}; or a shape with its measures, lengths in [mm], "
+        f"angles in [deg]: {by_measure}; or an STL file, with unit={'|'.join(indenters.UNITS)} "
+        f"(mm) and up={'|'.join(indenters.UPS)}, the axis that points away from the skin (+z), or "
+        f"a YAML file of parts. {EDGE}= rounds every convex edge (named shapes: "
+        f"their own, else {EDGE_MM} as far as there is room) (%(default)s)",
     )
     about = "tilt of the indenter, a rotation vector about x and y [deg]"
     add_value(group, "--tilt", "X,Y", (0.0, 0.0), about, numbers(2))
@@ -121,28 +104,28 @@ def add_indenter_options(parser: argparse.ArgumentParser) -> None:
     add_value(group, "--at", "X,Y", (0.0, 0.0), about, numbers(2))
 
 
-def indenter_of(options: argparse.Namespace) -> Indenter:
+def indenter_of(options: argparse.Namespace) -> indenters.Indenter:
     """Return the indenter that the options describe, with its tilt."""
     upright = _upright(options)
     about_x, about_y = map(math.radians, options.tilt)
     return upright.tilted(about_x, about_y) if about_x or about_y else upright
 
 
-def _upright(options: argparse.Namespace) -> Indenter:
+def _upright(options: argparse.Namespace) -> indenters.Indenter:
     shape, texts = split_shape(options.shape)
     if Path(shape).suffix.lower() in FILES:
         return _from_file(shape, texts, options)
     sizes = {key: _si(shape, key, text) for key, text in texts.items()}
     edge = sizes.pop(EDGE, None)
-    if shape in NAMES and not sizes:
-        return named(shape, edge)
+    if shape in indenters.NAMES and not sizes:
+        return indenters.named(shape, edge)
     if shape not in SHAPES:
-        if shape in NAMES:
+        if shape in indenters.NAMES:
             raise SceneError(
                 f"--shape {shape}: {sorted(sizes)[0]} given; allowed: {EDGE}, its measures are "
                 "known"
             )
-        allowed = dict.fromkeys((*NAMES, *SHAPES))
+        allowed = dict.fromkeys((*indenters.NAMES, *SHAPES))
         raise SceneError(f"--shape: {shape!r}; allowed: {', '.join(allowed)}")
     if set(sizes) != set(_measures(shape)):
         listed = ", ".join(_measures(shape)) or "no measure"
@@ -171,16 +154,16 @@ def split_shape(text: str) -> tuple[str, dict[str, str]]:
     return name, values
 
 
-def _from_file(path: str, texts: dict[str, str], options: argparse.Namespace) -> Indenter:
+def _from_file(path: str, texts: dict[str, str], options: argparse.Namespace) -> indenters.Indenter:
     for key, text in texts.items():
         keys = FILES[Path(path).suffix.lower()]
-        choices = {"unit": UNITS, "up": UPS}.get(key, ()) if key in keys else ()
+        choices = {"unit": indenters.UNITS, "up": indenters.UPS}.get(key, ()) if key in keys else ()
         if key not in keys or (choices and text not in choices):
             allowed = f"{key}={'|'.join(choices)}" if choices else ", ".join(keys)
             raise SceneError(f"--shape {path}: {key}={text}; allowed: {allowed}")
     # Warp computes distances to the file's triangles, whichever the tier.
     ready_device(options.device)
-    indenter = from_stl(
+    indenter = indenters.from_stl(
         path,
         unit=cast(Unit, texts.get("unit", "mm")),
         up=cast(Up, texts.get("up", "+z")),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from recorder.archive import ArchivedSensor, MarkerArchive, marker_flags
+from recorder.archive import MarkerArchive, marker_flags
 from sim.arrays import Progress
 
 # Most flagged frames, and most presses without a solution, that are listed one by one.
@@ -50,7 +50,8 @@ def _flags(archive: MarkerArchive, images: int, progress: Progress) -> Iterator[
     counted = 0
     for index, sensor in enumerate(archive.values()):
         flags = marker_flags(sensor)
-        counted += _counted(sensor)
+        if sensor.attrs.get("marker_check") is not None:
+            counted += int(np.count_nonzero(sensor.table["valid"]))
         flagged += [f"{sensor.name} {flag}" for flag in flags]
         progress((index + 1) / len(archive))
     fraction = f", {1e3 * len(flagged) / counted:.2f} in 1,000" if flagged else ""
@@ -58,12 +59,6 @@ def _flags(archive: MarkerArchive, images: int, progress: Progress) -> Iterator[
     yield from _some("", flagged)
     if counted < images:
         yield f"  ({images - counted:,} images have no markers to count, or are not valid)"
-
-
-def _counted(sensor: ArchivedSensor) -> int:
-    if sensor.attrs.get("marker_check") is None:
-        return 0
-    return int(np.count_nonzero(sensor.table["valid"]))
 
 
 def _some(title: str, lines: list[str]) -> Iterator[str]:

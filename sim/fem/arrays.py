@@ -73,7 +73,10 @@ def mesh_on(
         setattr(struct, name, array(getattr(first, name), wp.int32))
     struct.variant = array(variant, wp.int32)
     if elements:
-        struct.inverse = array(_inverses(meshes), matrix_of(real))
+        # Inverse Jacobians of boxes are equal at all Gauss points: one is kept of each element.
+        boxes = all(mesh.inverse.strides[1] == 0 for mesh in meshes)
+        inverses = [mesh.inverse[:, :1] if boxes else mesh.inverse for mesh in meshes]
+        struct.inverse = array(inverses, matrix_of(real))
         struct.weight = array([each.weight for each in meshes])
     struct.area = array([each.face_area for each in meshes])
     struct.shape, struct.rule = array(rule[0]), array(rule[1])
@@ -81,15 +84,6 @@ def mesh_on(
     struct.mass = array([each.node_volume for each in meshes])
     struct.inert = array([each.inert_volume for each in meshes]) if inertia else struct.mass
     return struct
-
-
-def _inverses(meshes: Sequence[Mesh]) -> list[np.ndarray]:
-    """Return inverse Jacobians of each mesh (E, 8, 3, 3); (E, 1, 3, 3) if all elements are boxes.
-
-    Those of boxes are equal at all Gauss points, and their mesh repeats them without a copy.
-    """
-    boxes = all(mesh.inverse.strides[1] == 0 for mesh in meshes)
-    return [mesh.inverse[:, :1] if boxes else mesh.inverse for mesh in meshes]
 
 
 @functools.cache

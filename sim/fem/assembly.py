@@ -288,7 +288,9 @@ class SolverState:
             return
         last, span, before = self._times
         moves = duration > 0  # a motion in no time ends at rest
-        ratio = np.where(moves & self._smooth(duration), duration / last, 0.0)
+        kink = np.linalg.norm(self.step - self._speed * duration[:, None], axis=1)
+        smooth = kink <= KINK * np.linalg.norm(self.step, axis=1)
+        ratio = np.where(moves & smooth, duration / last, 0.0)
         ratio[ratio > LONGER] = 0.0
         onward, now = ratio**2 / (1 + 2 * ratio), duration * (1 + ratio) / (1 + 2 * ratio)
         self.rates = np.divide(self._mass, now**2, where=moves, out=np.zeros(len(now)))
@@ -305,11 +307,6 @@ class SolverState:
         extrapolate(active, fraction, self.contact.u_old, self._u_before, self._still)
         along(last_share, self._still, self._way, self.predicted)
         along(before_share, self.predicted, self._way_before, self.predicted)
-
-    def _smooth(self, duration: np.ndarray) -> np.ndarray:
-        """Return True where the tip goes on as fast as before in a step of `duration` (B,) [s]."""
-        moved = self.step - self._speed * duration[:, None]
-        return np.linalg.norm(moved, axis=1) <= KINK * np.linalg.norm(self.step, axis=1)
 
     def _move(self, active, chosen: np.ndarray, duration: np.ndarray) -> None:
         """Keep the motion of the chosen environments (B,) in the step of `duration` (B,) [s]."""

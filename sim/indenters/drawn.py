@@ -11,20 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from sim.errors import SceneError
+from sim.indenters import shapes
 from sim.indenters.indenter import Indenter
-from sim.indenters.shapes import (
-    NAMES,
-    bar,
-    box,
-    cone,
-    dots_on_plate,
-    extruded,
-    flat_punch,
-    named,
-    sphere,
-    torus,
-    tube,
-)
 
 _PREFIX = "drawn-"
 # Numbers of drawn indenters are below this.
@@ -42,8 +30,8 @@ def indenter_of(name: str, edge_radius: float | None = None) -> Indenter:
     Raises:
         SceneError: The name is unknown, or the edge radius does not fit the shape.
     """
-    if name in NAMES:
-        return named(name, edge_radius)
+    if name in shapes.NAMES:
+        return shapes.named(name, edge_radius)
     indenter = _drawn(number_of(name))
     return indenter if edge_radius is None else replace(indenter, edge_radius=edge_radius)
 
@@ -52,7 +40,7 @@ def is_indenter(name: str) -> bool:
     """Return True for a name that `indenter_of` accepts."""
     digits = name.removeprefix(_PREFIX)
     drawn = digits != name and digits.isdecimal() and str(int(digits)) == digits
-    return name in NAMES or (drawn and int(digits) < DRAWN_MOST)
+    return name in shapes.NAMES or (drawn and int(digits) < DRAWN_MOST)
 
 
 def drawn_name(number: int) -> str:
@@ -66,8 +54,8 @@ def number_of(name: str) -> int:
     Raises:
         SceneError: It is not a name of one.
     """
-    if name in NAMES or not is_indenter(name):
-        allowed = f"{', '.join(NAMES)}, {drawn_name(0)} to {drawn_name(DRAWN_MOST - 1)}"
+    if name in shapes.NAMES or not is_indenter(name):
+        allowed = f"{', '.join(shapes.NAMES)}, {drawn_name(0)} to {drawn_name(DRAWN_MOST - 1)}"
         raise SceneError(f"indenter: {name!r}; allowed: {allowed}")
     return int(name.removeprefix(_PREFIX))
 
@@ -89,12 +77,12 @@ def _mm(random: _Random, low: float, high: float) -> float:
 
 def _tube(random: _Random) -> Indenter:
     inner = _mm(random, 1.2, 3.2)
-    return tube(inner + _mm(random, 0.8, 2.0), inner)
+    return shapes.tube(inner + _mm(random, 0.8, 2.0), inner)
 
 
 def _torus(random: _Random) -> Indenter:
     ring = _mm(random, 2.0, 4.5)
-    return torus(ring, min(_mm(random, 0.8, 2.5), 0.9 * ring))
+    return shapes.torus(ring, min(_mm(random, 0.8, 2.5), 0.9 * ring))
 
 
 def _polygon(random: _Random) -> Indenter:
@@ -103,7 +91,7 @@ def _polygon(random: _Random) -> Indenter:
     turns = (np.arange(corners) + random.uniform(-0.3, 0.3, corners)) * math.tau / corners
     away = _mm(random, 2.2, 4.0) * random.uniform(0.6, 1.0, corners)
     vertices = np.stack([away * np.cos(turns), away * np.sin(turns), 0 * away], axis=1)
-    return extruded(vertices.reshape(-1).tolist())
+    return shapes.extruded(vertices.reshape(-1).tolist())
 
 
 def _dots(random: _Random) -> Indenter:
@@ -112,15 +100,15 @@ def _dots(random: _Random) -> Indenter:
     away = max(_mm(random, 2.0, 4.5), 1.3 * radius / math.sin(math.pi / count))
     begin = random.uniform(0, math.tau)
     drop, width = min(radius, 1 * _MM), 2 * (away + radius) + 1 * _MM
-    return dots_on_plate(count, radius, away, begin, drop=drop, width=width)
+    return shapes.dots_on_plate(count, radius, away, begin, drop=drop, width=width)
 
 
 _FAMILIES: tuple[Callable[[_Random], Indenter], ...] = (
-    lambda random: sphere(_mm(random, 2.0, 8.0)),
-    lambda random: flat_punch(_mm(random, 1.5, 4.5)),
-    lambda random: cone(math.radians(random.uniform(20, 65)), _mm(random, 0.4, 1.5)),
-    lambda random: box(_mm(random, 1.5, 9.0), _mm(random, 3.0, 14.0)),
-    lambda random: bar(_mm(random, 1.5, 5.0), _mm(random, 4.0, 14.0)),
+    lambda random: shapes.sphere(_mm(random, 2.0, 8.0)),
+    lambda random: shapes.flat_punch(_mm(random, 1.5, 4.5)),
+    lambda random: shapes.cone(math.radians(random.uniform(20, 65)), _mm(random, 0.4, 1.5)),
+    lambda random: shapes.box(_mm(random, 1.5, 9.0), _mm(random, 3.0, 14.0)),
+    lambda random: shapes.bar(_mm(random, 1.5, 5.0), _mm(random, 4.0, 14.0)),
     _tube,
     _torus,
     _polygon,

@@ -16,19 +16,8 @@ from sim.arrays import Array, Progress
 from sim.device import check_device
 from sim.errors import SimulationDiverged
 from sim.layer import Layer
+from sim.layer import batch_kernels as kernels
 from sim.layer.batch_clearance import BatchClearance
-from sim.layer.batch_kernels import (
-    COLUMNS,
-    FINER,
-    READ,
-    contact_kernel,
-    fields_struct,
-    frame_kernels,
-    layer_struct,
-    scratch_struct,
-    state_kernels,
-    step_struct,
-)
 from sim.layer.solver import (
     BULGE,
     HALVINGS,
@@ -205,12 +194,12 @@ class LayerBatch:
         nx, ny = grid.shape
         friction_of = [one.effects.friction for one in scenes]
         coefficients = [each.coefficient if each else 0.0 for each in friction_of]
-        layer = self._layer = layer_struct(real)()
+        layer = self._layer = kernels.layer_struct(real)()
         layer.ny = ny
         layer.table = self._array(kernel[:, :nx, :ny], real)
         layer.local = vec3(*(min(kernel[0, 0, 0], kernel[1, 0, 0]),) * 2, kernel[2, 0, 0])
         layer.coefficient = self._array(coefficients, real)
-        self._contact = contact_kernel(real, friction, self._lanes)
+        self._contact = kernels.contact_kernel(real, friction, self._lanes)
         (
             self._mark,
             self._tally,
@@ -220,8 +209,8 @@ class LayerBatch:
             self._displace,
             self._take,
             self._measure,
-        ) = state_kernels(real, friction, self._lanes)
-        self._keep, self._reach = frame_kernels(real)
+        ) = kernels.state_kernels(real, friction, self._lanes)
+        self._keep, self._reach = kernels.frame_kernels(real)
 
         def zeros(kind: Any, *shape: int) -> Any:
             return wp.zeros(shape, dtype=kind, device=device)
@@ -230,7 +219,7 @@ class LayerBatch:
             return zeros(kind, count, pixels)
 
         def fields() -> Any:
-            state = fields_struct(real)()
+            state = kernels.fields_struct(real)()
             state.traction, state.elastic = by_pixel(vec3), by_pixel(vec3)
             state.moved = by_pixel(wp.vec3)
             state.gap, state.extra = by_pixel(real), by_pixel(real)
@@ -244,7 +233,7 @@ class LayerBatch:
         self._touching, layer.listed = by_pixel(wp.int32), by_pixel(wp.int32)
         self._tallied, layer.count = zeros(wp.int32, count, nx), zeros(wp.int32, count)
         self._held, self._guess, self._found = by_pixel(vec3), by_pixel(vec3), by_pixel(vec3)
-        scratch = self._scratch = scratch_struct(real)()
+        scratch = self._scratch = kernels.scratch_struct(real)()
         for name in ("pressure", "gap", "move", "answer"):
             setattr(scratch, name, by_pixel(real))
         for name in ("shear", "slip", "move2", "answer2", "before", "rested"):
@@ -316,18 +305,18 @@ class LayerBatch:
 
     def _measured(self, rows: Whole, load: Any = None, moved: Any = None) -> Any:
         """Return `READ` of presses (N,); of the load and its displacement, if they are given."""
-        out = wp.empty((len(rows), COLUMNS), dtype=wp.float64, device=self._device)
+        out = wp.empty((len(rows), kernels.COLUMNS), dtype=wp.float64, device=self._device)
         which = self._array(rows, wp.int32)
         tip = self._array(self.tip[rows], wp.vec3d)
         samples, fields = self._clearance.samples, self._now
         if load is not None:
-            fields = fields_struct(self._real)()
+            fields = kernels.fields_struct(self._real)()
             fields.traction, fields.elastic, fields.moved = load, load, moved
             fields.gap, fields.extra = self._now.gap, self._now.extra
         coordinates = [samples.x, samples.y, samples.surface]
         inputs = [*coordinates, self._layer, which, tip, fields]
         self._lane_launch(self._measure, len(rows), inputs, [out])
-        return _host(out).copy().view(READ)[:, 0]
+        return _host(out).copy().view(kernels.READ)[:, 0]
 
     def advance(self) -> Iterator[int]:
         """Move all tips along their motions, yielding the number of frames kept since before."""
@@ -464,7 +453,7 @@ class LayerBatch:
 
     def _rates(self, rows: Whole, factor: Array, decay: Array, gained: Array) -> Any:
         """Return the struct of a step: presses, and how their layers relax in it."""
-        step = step_struct(self._real)()
+        step = kernels.step_struct(self._real)()
         step.which = self._array(rows, wp.int32)
         for name, values in (("factor", factor), ("decay", decay), ("gained", gained)):
             setattr(step, name, self._array(values, self._real))
@@ -538,7 +527,9 @@ class LayerBatch:
             return np.zeros(len(rows))
         boxes = np.where(touches[:, None], read["box"] * [-1, 1, -1, 1], [0, -1, 0, -1])
         width = wp.zeros(len(rows), dtype=wp.float32, device=self._device)
-        widest = [FINER * int((boxes[:, k + 1] - boxes[:, k]).max() + 1) + 1 for k in (0, 2)]
+        widest = [
+            kernels.FINER * int((boxes[:, k + 1] - boxes[:, k]).max() + 1) + 1 for k in (0, 2)
+        ]
         self._launch(
             self._reach,
             (len(rows), *widest),

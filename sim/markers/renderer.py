@@ -11,18 +11,8 @@ from numpy.typing import NDArray
 from recorder.markers import Lattice, unpack
 from sim.arrays import Array
 from sim.errors import SceneError
+from sim.markers import kernels
 from sim.markers.camera import Camera
-from sim.markers.kernels import (
-    coverages,
-    displacements,
-    find_material,
-    lattice_points,
-    lens_of,
-    packed_masks,
-    see_triangles,
-    see_vertices,
-    top_on,
-)
 from sim.markers.pattern import Pattern
 from sim.markers.textures import Textures
 from sim.markers.top import TAPS, CubicTaps, cubic_taps, top_of
@@ -54,7 +44,7 @@ class View:
 
     def packed(self, textures: Textures) -> NDArray[np.uint8]:
         """Return masks of every frame and pattern as packed bits (F, P, 38400)."""
-        return packed_masks(self._material, textures).numpy()
+        return kernels.packed_masks(self._material, textures).numpy()
 
     def masks(self, textures: Textures) -> NDArray[np.bool_]:
         """Return masks (F, P, 480, 640): True if a marker covers at least half of a pixel."""
@@ -62,7 +52,7 @@ class View:
 
     def coverage(self, textures: Textures) -> NDArray[np.uint8]:
         """Return each pixel's coverage by markers, 255 if complete (F, P, 480, 640)."""
-        return coverages(self._material, textures).numpy()
+        return kernels.coverages(self._material, textures).numpy()
 
 
 Surface = NDArray[np.float32]
@@ -100,8 +90,8 @@ class Renderer:
             )
         self.device = device
         self._top = top_of(body, spacing)
-        self._device_top = top_on(device, self._top)
-        self._lens = lens_of(self.camera)
+        self._device_top = kernels.top_on(device, self._top)
+        self._lens = kernels.lens_of(self.camera)
 
     def textures(self, patterns: Sequence[Pattern]) -> Textures:
         """Return textures of patterns for `View.masks`; each must fit on the gel."""
@@ -123,9 +113,9 @@ class Renderer:
         """
         taps = _taps(x, y, self._top.x, self._top.y)
         moved = self._checked(x, y, surface)
-        vertex = see_vertices(self._lens, self._device_top, *taps, moved)
-        number = see_triangles(vertex)
-        material = find_material(self._top, vertex, number)
+        vertex = kernels.see_vertices(self._lens, self._device_top, *taps, moved)
+        number = kernels.see_triangles(vertex)
+        material = kernels.find_material(self._top, vertex, number)
         return View(material, self.body)
 
     def displacement(self, x: Array, y: Array, surface: Surface) -> NDArray[np.float16]:
@@ -138,11 +128,11 @@ class Renderer:
             the image without contact shows no gel.
         """
         lattice = Lattice()
-        points, on_gel = lattice_points(lattice, self.camera, self.body)
+        points, on_gel = kernels.lattice_points(lattice, self.camera, self.body)
         taps = _taps(x, y, points[:, 0], points[:, 1])
         moved = self._checked(x, y, surface)
         field = np.full((len(surface), *lattice.shape), np.nan, np.float16)
-        field[:, on_gel] = displacements(self._lens, points, *taps, moved).numpy()
+        field[:, on_gel] = kernels.displacements(self._lens, points, *taps, moved).numpy()
         return field
 
     @property

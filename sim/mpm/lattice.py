@@ -180,7 +180,10 @@ class Pace:
 def pace_of(scene: Scene, numerics: Mpm, cell: float) -> Pace:
     """Return the mass and the schedule of a scene on a grid with cells of this size [m]."""
     body = scene.body
-    corners = _corners(scene)
+    tip = np.asarray(scene.motion.tip, float)
+    # A start straight above the first waypoint, if that is inside the body.
+    start = [*tip[0, :2], max(tip[0, 2], 0.0)]
+    corners = np.concatenate([[start], tip])
     lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)
     durations = np.diff(np.asarray(scene.motion.time))
     speeds = lengths[1:] / durations
@@ -219,14 +222,6 @@ def pace_of(scene: Scene, numerics: Mpm, cell: float) -> Pace:
 def wave_speed(body: Body, mass_scaling: float = 1.0) -> float:
     """Return the speed of pressure waves, sqrt((K + 4/3 G) / density) [m/s]."""
     return math.sqrt(body.wave_modulus / (body.density * mass_scaling))
-
-
-def _corners(scene: Scene) -> Array:
-    """Return the waypoints, after a start straight above the first if that is inside the body."""
-    tip = np.asarray(scene.motion.tip, float)
-    start = tip[0].copy()
-    start[2] = max(start[2], 0.0)
-    return np.concatenate([start[None], tip])
 
 
 def _time_step(numerics: Mpm, cell: float, speed: float) -> float:

@@ -331,8 +331,10 @@ class TrackModel:
             self._solved[key] = solved[count * number : count * (number + 1)]
 
     def _candidate(self, values: Mapping[str, float], track: PressTrack) -> Candidate:
-        indenter = named(track.indenter)
-        return Candidate(self._sensor(values), indenter, track, values, self._grid)
+        known = quantities(self._design)
+        of_design = {name: value for name, value in values.items() if name in known}
+        sensor = with_quantities(self._design, of_design)
+        return Candidate(sensor, named(track.indenter), track, values, self._grid)
 
     def surfaces(
         self, values: Mapping[str, float], rows: Sequence[NDArray[np.int64]]
@@ -352,12 +354,6 @@ class TrackModel:
                 )
             )
         return surfaces
-
-    def _sensor(self, values: Mapping[str, float]) -> SimulatedSensor:
-        of_design = quantities(self._design)
-        return with_quantities(
-            self._design, {name: value for name, value in values.items() if name in of_design}
-        )
 
     @staticmethod
     def _moved(values: Mapping[str, float], name: str, step: float) -> dict[str, float]:

@@ -1,11 +1,8 @@
 """An experiment makes every result once, resumes where it stopped, and rejects other settings."""
 
 import json
-import threading
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -23,7 +20,6 @@ from learning.experiment import running, stages
 from learning.experiment.frames import (
     as_images,
     flow_fields,
-    frames_of_a_press,
     load_some,
     look_of,
     pairs_of,
@@ -32,7 +28,7 @@ from learning.experiment.frames import (
     warp_presses,
 )
 from learning.experiment.settings import PRESETS, ExperimentSettings
-from learning.experiment.stages import Places, TaskResult, force_settings, translator_training
+from learning.experiment.stages import Places, force_settings, translator_training
 from learning.force.train import epoch, initial_model
 from learning.metrics import force_errors
 from learning.translation.flow import FlowTranslator
@@ -120,20 +116,6 @@ def test_an_experiment_goes_from_presses_to_a_report_and_makes_nothing_twice(
         run(archive, out, "models_per_batch=4")
 
 
-def test_pieces_side_by_side_give_what_they_give_one_after_the_other(
-    archive: MarkerArchive, done: tuple[Path, list[str]], tmp_path: Path
-) -> None:
-    out, reported = done
-    also: list[str] = []
-    running.run_experiment(
-        Places(tmp_path, archive.path), settings(), pairs=["dots:grid"], jobs=2, say=also.append
-    )
-    one, other = (sorted(line for line in lines if " to " in line) for lines in (reported, also))
-    assert one == other
-    alone, batched = (results(place, "compensated.flow") for place in (out, tmp_path))
-    assert np.array_equal(alone.predicted, batched.predicted)
-
-
 def test_models_trained_together_say_what_those_trained_alone_say(
     archive: MarkerArchive,
     done: tuple[Path, list[str]],
@@ -174,56 +156,6 @@ def test_the_papers_translator_is_chosen_like_any_other(
     assert not (tmp_path / "other" / "models").exists()
 
 
-def test_a_piece_begins_when_what_it_needs_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
-    slow, quick = ("train", "slow"), ("train", "quick")
-    after_slow, after_quick = ("translated", "slow"), ("translated", "quick")
-    begun, went_on = [], threading.Event()
-
-    def do(piece: tuple[str, ...]) -> tuple[TaskResult, list[str]]:
-        begun.append(piece)
-        if piece == slow:
-            assert went_on.wait(10)
-        if piece == after_quick:
-            went_on.set()
-        return TaskResult(), [" ".join(piece)]
-
-    monkeypatch.setattr(running, "_do", do)
-    tasks: dict[tuple[str, ...], set[tuple[str, ...]]] = {
-        slow: set(),
-        after_slow: {slow},
-        quick: set(),
-        after_quick: {quick},
-    }
-    reported: list[str] = []
-    with ThreadPoolExecutor(2) as pool:
-        assert len(running._results_of(pool, tasks, reported.append)) == 4
-    # The slow job ends only when the one that depends on the quick job has begun.
-    assert begun[2:] == [after_quick, after_slow]
-    assert set(begun) == set(tasks)
-    for name in ("slow", "quick"):
-        assert reported.index(f"train {name}") < reported.index(f"translated {name}")
-    assert len(reported) == len(tasks)
-
-
-def test_a_process_that_was_stopped_begins_nothing_and_one_without_memory_says_so(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    experiment = Mock()
-    monkeypatch.setattr(running, "_experiment", experiment)
-    monkeypatch.setattr(running, "_stopped", False)
-    experiment.do.side_effect = torch.OutOfMemoryError("tried to allocate 150 MiB")
-    with pytest.raises(LearningError, match=r"jobs: found no memory left .* for own one beside"):
-        running._do(("own", "one"))
-    experiment.do.side_effect = KeyboardInterrupt
-    for name in ("two", "three"):
-        with pytest.raises(KeyboardInterrupt):
-            running._do(("own", name))
-    assert [call.args for call in experiment.do.call_args_list] == [
-        (("own", "one"),),
-        (("own", "two"),),
-    ]
-
-
 def test_presses_translated_together_are_those_translated_one_by_one(
     archive: MarkerArchive,
 ) -> None:
@@ -255,19 +187,11 @@ def test_without_memory_every_frame_has_no_contact_before(archive: MarkerArchive
     assert torch.equal(alone.of_frame, torch.arange(packed.frames))
     assert torch.equal(alone.location, packed.location[packed.of_frame])
     assert alone.images is packed.images
-    assert frames_of_a_press(archive) == 9
-    batch = {
-        memory: force_settings(settings(f"memory={memory}"), archive, "cpu").sequences.batch
-        for memory in ("true", "false")
-    }
-    assert batch["false"] == 9 * batch["true"]
 
 
-def test_the_seed_of_an_experiment_is_that_of_its_trainings(
-    archive: MarkerArchive, tmp_path: Path
-) -> None:
+def test_the_seed_of_an_experiment_is_that_of_its_trainings() -> None:
     def begun(*changed: str) -> tuple[torch.Tensor, list[int]]:
-        chosen = force_settings(settings(*changed), archive, "cpu")
+        chosen = force_settings(settings(*changed), "cpu")
         labels = [torch.tensor([[-1.0, -1.0, -2.0], [1.0, 1.0, 0.0]])]
         model = initial_model(labels, chosen, None, CPU)
         passed = epoch([np.arange(0, 90, 9)], [0], chosen.sequences, chosen.seed, 0)
@@ -282,10 +206,10 @@ def test_the_seed_of_an_experiment_is_that_of_its_trainings(
     assert not torch.equal(weights, others)
     assert order != other_order
     for tuning in (False, True):
-        assert force_settings(settings("seed=2"), archive, "cpu", tuning=tuning).seed == 2
+        assert force_settings(settings("seed=2"), "cpu", tuning=tuning).seed == 2
     own = settings("seed=2", "fine_tuning=[seed=5]", "translators=[field]")
-    assert force_settings(own, archive, "cpu").seed == 2
-    assert force_settings(own, archive, "cpu", tuning=True).seed == 5
+    assert force_settings(own, "cpu").seed == 2
+    assert force_settings(own, "cpu", tuning=True).seed == 5
     training = translator_training(own, "field")
     assert training is not None
     assert training[1].seed == 2

@@ -25,10 +25,10 @@ from recorder.archive import Simulated
 
 SETTINGS = toy(
     stages=(
-        ForceStageSettings(epochs=2, learning_rate=3e-3, schedule="cosine", warm_up_steps=1),
+        ForceStageSettings(epochs=2, learning_rate=1e-2, schedule="cosine", warm_up_steps=1),
         ForceStageSettings(epochs=1, learning_rate=1e-3),
     ),
-    network=replace(TOY.network, encoder_norm="instance", tail_norm="group"),
+    network=replace(TOY.network, encoder_norm="instance", tail_norm="none"),
     optimiser=OptimiserSettings(name="adamw", weight_decay=0.01, clip=0.05),
     range_margin=0.05,
 )

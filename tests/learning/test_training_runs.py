@@ -4,6 +4,7 @@ import json
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -52,7 +53,7 @@ def _train(folder: Path, until: int) -> Net:
     net = Net(toy.width)
     optimiser = torch.optim.AdamW(net.parameters())
     rate = Cosine(1e-2, steps=toy.steps, warm_up=5)
-    run = RunFolder.open(folder, "force", toy, "data")
+    run = RunFolder.open(folder, "force", toy, "data", metadata={"range": [1.0, 2.0]})
     for step in range(run.restore({"model": net}, {"optimiser": optimiser}), until):
         seed_torch(toy.seed, "step", step)
         values = torch.from_numpy(generator(toy.seed, "batch", step).normal(size=(16, 4)))
@@ -66,7 +67,7 @@ def _train(folder: Path, until: int) -> Net:
             states = {"optimiser": optimiser}
             run.save(step + 1, {"model": net}, states, score=abs(step - 14.0))
     if until == toy.steps:
-        run.finish(until, {"model": net}, metadata={"range": [1.0, 2.0]})
+        run.finish(until, {"model": net})
     return net
 
 
@@ -236,7 +237,7 @@ def test_damaged_weights_and_training_states_are_refused(tmp_path: Path) -> None
 def test_states_that_could_not_be_read_back_are_not_kept(tmp_path: Path) -> None:
     run = RunFolder.open(tmp_path / "run", "force", Toy(), "data")
     with pytest.raises(LearningError, match="not plain states"):
-        run.save(1, {"model": Net(8)}, {"path": tmp_path})
+        run.save(1, {"model": Net(8)}, {"course": SimpleNamespace(state_dict=lambda: tmp_path)})
     assert run.latest() is None
 
 

@@ -94,7 +94,7 @@ def test_a_marker_that_moves_against_all_others_is_let_go(no_contact):
     frame[around] = False
     frame = np.roll(frame, (-10, -10), (0, 1))
     frame[row + 3 : row + 38, column + 3 : column + 38] |= no_contact["dots"][around]
-    matcher = Matcher(no_contact["dots"], smoothing=0.0)
+    matcher = Matcher(no_contact["dots"])
     match = matcher.step(frame)
     here = int(np.linalg.norm(matcher.markers - [column, row], axis=1).argmin())
     assert not match.matched[here]

@@ -156,7 +156,6 @@ OPTIONS = {
     "train diffusion a.markers.zarr --base none --out x": "weights.base: found 'none' without unet",
     "experiment a.markers.zarr --out x --pairs dots": "allowed: SOURCE:TARGET, two of dots, grid",
     "experiment a.markers.zarr --out x --preset none": "preset: found 'none'; known: demo,",
-    "experiment a.markers.zarr --out x --jobs 0": "--jobs: found 0; allowed: 1 or more",
 }
 
 

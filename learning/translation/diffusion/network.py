@@ -119,8 +119,6 @@ class VaeSettings:
     """True to train all weights, for networks without published ones, in place of adapters."""
     vae_rank: int = 4
     """Rank of the autoencoder's adapter; a translator has that of its marker VAE."""
-    gradient_checkpointing: bool = False
-    """True to recompute activations instead of storing them: less memory, more time."""
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -391,9 +389,6 @@ def build(
     if vae_adapter is not None:
         published = {name: each for name, each in vae.state_dict().items() if not is_adapter(name)}
         load_weights(vae, {**published, **vae_adapter}, "the autoencoder's adapter")
-    if settings.gradient_checkpointing:
-        unet.enable_gradient_checkpointing()
-        vae.enable_gradient_checkpointing()
     with torch.random.fork_rng():
         torch.manual_seed(settings.seed)
         tokens = ReferenceTokens(
@@ -441,8 +436,6 @@ class MarkerVae(nn.Module):
         super().__init__()
         if not settings.whole:
             add_adapter(vae, VAE_ADAPTER, settings.vae_rank, VAE_TARGETS, seed=settings.seed)
-        if settings.gradient_checkpointing:
-            vae.enable_gradient_checkpointing()
         self.vae = vae
         self.pixel_range = settings.pixel_range
         self.decode_scaled = decode_scaled

@@ -115,7 +115,6 @@ def load_network(stored: ModelFolder) -> MarkerToMarker:
     settings = stored.settings(DiffusionNetworkSettings)
     own = stored.weights()
     base = base_of(stored)
-    settings = replace(settings, gradient_checkpointing=False)
     if not settings.whole:
         settings = replace(settings, vae_rank=rank_of(vae_adapter_of(own)))
     network = build(read_unet(base), read_vae(base), settings)

@@ -171,11 +171,14 @@ class PatternBank:
     def drawn(cls, count: int, generator: np.random.Generator, device: torch.device) -> Self:
         """Draw `count` patterns."""
         patterns = sample_patterns(count, generator, device)
-        points = _pixel_positions(device)
+        rows = torch.arange(HEIGHT, device=device, dtype=torch.float32)
+        columns = torch.arange(WIDTH, device=device, dtype=torch.float32)
+        down, across = torch.meshgrid(rows, columns, indexing="ij")
+        points = torch.stack([across, down]).unsqueeze(0)
         distances = []
         for first in range(0, count, _DRAWN_AT_ONCE):
-            rows = torch.arange(first, min(first + _DRAWN_AT_ONCE, count), device=device)
-            masks = patterns[rows].draw(points).squeeze(1) > 0.5
+            some = torch.arange(first, min(first + _DRAWN_AT_ONCE, count), device=device)
+            masks = patterns[some].draw(points).squeeze(1) > 0.5
             distances.append(resampled(signed_distance(masks), IMAGE_SIDE).half())
         empty = torch.empty(0, 1, IMAGE_SIDE, IMAGE_SIDE, dtype=torch.half, device=device)
         return cls(patterns, torch.cat([empty, *distances]))
@@ -209,7 +212,11 @@ def draw_examples(
     """Return a batch of examples, the same for the same generator."""
     procedural = round(batch * settings.procedural) if len(bank.distances) else 0
     rows = _rows(generator.integers(len(frames), size=batch), frames.device)
-    points, sign = _views(batch, settings.move, generator, frames.device)
+    # Sampling positions of frames (n, 256, 256, 2), and the sign of each axis (n, 2).
+    sign = _on(2.0 * generator.integers(0, 2, (batch, 2)) - 1, frames.device)
+    offset = _on(generator.uniform(-settings.move, settings.move, (batch, 2)), frames.device)
+    grid = image_grid(IMAGE_SIDE, IMAGE_SIDE, frames.device)
+    points = grid * sign[:, None, None] + offset[:, None, None]
     shift = _moved_shifts(frames, rows, points, sign)
     own = slice(0, batch - procedural)
     images = looked_up(frames.unit_images(rows[own]), points[own])
@@ -254,16 +261,6 @@ def random_shifts(count: int, generator: np.random.Generator, device: torch.devi
     return bumps.sum(dim=1)
 
 
-def _views(
-    count: int, move: float, generator: np.random.Generator, device: torch.device
-) -> tuple[Tensor, Tensor]:
-    """Return sampling positions of frames (n, 256, 256, 2), and the sign of each axis (n, 2)."""
-    sign = _on(2.0 * generator.integers(0, 2, (count, 2)) - 1, device)
-    offset = _on(generator.uniform(-move, move, (count, 2)), device)
-    grid = image_grid(IMAGE_SIDE, IMAGE_SIDE, device)
-    return grid * sign[:, None, None] + offset[:, None, None], sign
-
-
 def _moved_shifts(frames: FieldFrames, rows: Tensor, points: Tensor, sign: Tensor) -> Tensor:
     """Return the true shifts (n, 2, 64, 64) in views of frames; NaN where unknown."""
     if frames.shift is None:
@@ -298,14 +295,6 @@ def _segmented(
         (patterns.radius + _on(edge, device)).clamp(min=1.0),
     )
     return replace(patterns, radius=radius)
-
-
-def _pixel_positions(device: torch.device) -> Tensor:
-    """Return columns and rows of the pixels of a mask (1, 2, 480, 640)."""
-    rows = torch.arange(HEIGHT, device=device, dtype=torch.float32)
-    columns = torch.arange(WIDTH, device=device, dtype=torch.float32)
-    down, across = torch.meshgrid(rows, columns, indexing="ij")
-    return torch.stack([across, down]).unsqueeze(0)
 
 
 def _rows(numbers: NDArray[np.int64], device: torch.device) -> Tensor:

@@ -56,10 +56,10 @@ class Program:
             33: self._stop,
             34: self._stop,
             35: lambda: controller.set_watchdog(controller.read_double(0)),
-            36: self._within_limits,
+            36: lambda: controller.write_int(1, self._robot.solve(self._doubles(0)) is not None),
             40: lambda: controller.write_doubles(self._robot.tcp),
             43: lambda: controller.write_doubles(self._robot.pose),
-            47: self._is_steady,
+            47: lambda: controller.write_int(1, not self._robot.speed.any()),
         }
 
     def step(self) -> bool:
@@ -153,12 +153,6 @@ class Program:
         self._controller.payload = self._controller.read_double(0)
         self._controller.payload_cog = (x, y, z)
 
-    def _within_limits(self) -> None:
-        self._controller.write_int(1, int(self._robot.solve(self._doubles(0)) is not None))
-
-    def _is_steady(self) -> None:
-        self._controller.write_int(1, int(not self._robot.speed.any()))
-
 
 # PolyScope version reported everywhere: the newest whose ur_rtde recipes stay small.
 VERSION = (5, 12, 4, 1101661)
@@ -234,7 +228,7 @@ class Controller:
 
     def write_int(self, register: int, value: int) -> None:
         """Write an output integer register."""
-        self._ints[register] = value
+        self._ints[register] = int(value)
 
     def write_doubles(self, values: Array) -> None:
         """Write output double registers from 0 on."""

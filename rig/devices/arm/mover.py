@@ -48,7 +48,6 @@ from rig.devices.arm.messages import (
     Started,
 )
 from rig.devices.arm.reader import RtdeLink
-from rig.devices.arm.settings import ArmConfig
 from rig.devices.arm.vendor import UrControl, check_ready
 
 logger = logging.getLogger(__name__)
@@ -136,16 +135,15 @@ class Watch:
 
     def require_fresh(self) -> None:
         """Ensure that it is safe to call ur_rtde."""
-        if not self.fresh() and not self._heard_after_waiting():
-            raise DeviceLost(
-                f"arm at {self._host}: silent; is the controller on and its network cable in?"
-            )
-
-    def _heard_after_waiting(self) -> bool:
+        if self.fresh():
+            return
         # Our own process may have been delayed: samples waiting in the socket count.
         for sample in self._link.receive(_FRESH):
             self._take(sample)
-        return self.fresh()
+        if not self.fresh():
+            raise DeviceLost(
+                f"arm at {self._host}: silent; is the controller on and its network cable in?"
+            )
 
     def still(self) -> bool:
         """Return True if the TCP has been at rest for the settling time."""
@@ -476,7 +474,10 @@ def _serve(setup: Setup, pipe: Connection) -> int:
     clock = SystemClock()
     start_ns = clock.now_ns()
     try:
-        link, control = _connected(setup.config, clock)
+        check_ready(setup.config.host, _CONNECT)
+        link = RtdeLink(setup.config.host, min(setup.config.rate_hz, _LINK_HZ), clock)
+        link.open(_CONNECT)
+        control = UrControl(setup.config)
     except (DeviceLost, SafetyStop) as error:
         outcome: Outcome = "device_lost" if isinstance(error, DeviceLost) else "safety_stop"
         pipe.send(Reply(START, outcome, start_ns, clock.now_ns(), str(error)))
@@ -484,14 +485,6 @@ def _serve(setup: Setup, pipe: Connection) -> int:
     motion = Motion(setup, pipe, control, link, clock)
     signal.signal(signal.SIGTERM, lambda *_: motion.end())
     return motion.serve()
-
-
-def _connected(config: ArmConfig, clock: Clock) -> tuple[RtdeLink, UrControl]:
-    """Return the open pose link and the running control of an arm."""
-    check_ready(config.host, _CONNECT)
-    link = RtdeLink(config.host, min(config.rate_hz, _LINK_HZ), clock)
-    link.open(_CONNECT)
-    return link, UrControl(config)
 
 
 class Motion:

@@ -53,10 +53,6 @@ class ArmConfig:
         for name in ("rate_hz", *motions, "stop_deceleration", "retract", "watchdog_hz"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name}: {getattr(self, name)!r}; allowed: above 0")
-        if len(self.tcp) != 6:
-            raise ValueError(f"tcp: {len(self.tcp)} numbers; allowed: 6 (x y z rx ry rz)")
-        if len(self.payload_cog) != 3:
-            raise ValueError(f"payload_cog: {len(self.payload_cog)} numbers; allowed: 3")
         if self.payload < 0 or self.settle < 0:
             raise ValueError("payload, settle: allowed: 0 or more")
 

@@ -19,17 +19,9 @@ from recorder.processes import environment
 from rig.core.clock import Clock
 from rig.core.driver import CORRUPT_IN_A_ROW, ReceivingDriver
 from rig.core.errors import ConfigError, DeviceLost
+from rig.devices.camera import v4l2_wire as wire
 from rig.devices.camera.jpeg import is_whole, jpeg_size, with_huffman_tables
 from rig.devices.camera.settings import MjpegConfig, V4l2Config
-from rig.devices.camera.v4l2_wire import (
-    EXPOSURE_ABSOLUTE,
-    EXPOSURE_AUTO,
-    EXPOSURE_UNIT,
-    GAIN,
-    MANUAL,
-    Frame,
-    Node,
-)
 
 Image = npt.NDArray[np.uint8]
 
@@ -107,7 +99,7 @@ class V4l2Driver(CameraDriver):
     def __init__(self, config: V4l2Config, clock: Clock) -> None:
         super().__init__(config, clock)
         self._config: V4l2Config = config
-        self._node: Node | None = None
+        self._node: wire.Node | None = None
         self._sequence: int | None = None
         self._stamps: dict[str, str] = {}
 
@@ -115,7 +107,7 @@ class V4l2Driver(CameraDriver):
         self._sequence = None
         address = self._where
         try:
-            self._node = Node(f"/dev/video{address}" if address.isdecimal() else address)
+            self._node = wire.Node(f"/dev/video{address}" if address.isdecimal() else address)
             rate_hz = self._set_up(self._node)
             self._node.start()
             frame = self._checked_frame(timeout)
@@ -143,7 +135,7 @@ class V4l2Driver(CameraDriver):
             self._node.close()
             self._node = None
 
-    def _set_up(self, node: Node) -> float:
+    def _set_up(self, node: wire.Node) -> float:
         c = self._config
         if c.fourcc not in (_JPEG, *_RAW):
             raise ConfigError(
@@ -159,14 +151,14 @@ class V4l2Driver(CameraDriver):
                 raise self._refused(name, requested, got)
         rate_hz = self._set("rate_hz", c.rate_hz, node.set_rate)
         if c.exposure is not None:
-            units = round(c.exposure / EXPOSURE_UNIT)
-            self._control(node, "auto exposure", EXPOSURE_AUTO, MANUAL)
-            self._control(node, "exposure (100 us)", EXPOSURE_ABSOLUTE, units)
+            units = round(c.exposure / wire.EXPOSURE_UNIT)
+            self._control(node, "auto exposure", wire.EXPOSURE_AUTO, wire.MANUAL)
+            self._control(node, "exposure (100 us)", wire.EXPOSURE_ABSOLUTE, units)
         if c.gain is not None:
-            self._control(node, "gain", GAIN, round(c.gain))
+            self._control(node, "gain", wire.GAIN, round(c.gain))
         return rate_hz
 
-    def _control(self, node: Node, name: str, number: int, requested: int) -> None:
+    def _control(self, node: wire.Node, name: str, number: int, requested: int) -> None:
         self._set(name, requested, lambda value: node.set_control(number, round(value)))
 
     def _set(self, name: str, requested: float, apply: Callable[[float], float]) -> float:
@@ -224,7 +216,7 @@ class V4l2Driver(CameraDriver):
         self._sequence += step
         return self._sequence
 
-    def _picture(self, frame: Frame) -> bytes | Image | None:
+    def _picture(self, frame: wire.Frame) -> bytes | Image | None:
         c = self._config
         if frame.damaged:
             self._reject("damaged frames")

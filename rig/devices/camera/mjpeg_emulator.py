@@ -97,11 +97,6 @@ def letterboxed(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return canvas
 
 
-def halved(jpeg: bytes) -> bytes:
-    """Return the picture at half its width and height."""
-    return _encoded(cv2.resize(_decoded(jpeg), None, fx=0.5, fy=0.5), QUALITY_RENDERED)
-
-
 def through_lens(jpeg: bytes, gain: float, blur: float) -> bytes:
     """Return the picture at another exposure and focus: brightness, and blur [px]."""
     image = _decoded(jpeg)
@@ -329,7 +324,7 @@ def _recorded_part(playback: Playback, row: int) -> bytes:
 def _halved(jpeg: bytes) -> bytes:
     """Return the frame at half the size, with its stamp."""
     stamp = frame_stamp(jpeg)
-    small = halved(jpeg)
+    small = _encoded(cv2.resize(_decoded(jpeg), None, fx=0.5, fy=0.5), QUALITY_RENDERED)
     return small if stamp is None else stamped(small, *stamp)
 
 

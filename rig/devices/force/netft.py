@@ -21,16 +21,7 @@ import numpy as np
 from rig.core.clock import SECOND_NS, Clock, ClockAnchor
 from rig.core.driver import CORRUPT_IN_A_ROW, ReceivingDriver
 from rig.core.errors import ConfigError, DeviceLost
-from rig.devices.force.netft_wire import (
-    COMMAND_REALTIME,
-    COMMAND_STOP,
-    ERROR_MASK,
-    RECORD,
-    Page,
-    emit_request,
-    parse_page,
-    status_text,
-)
+from rig.devices.force import netft_wire as wire
 from rig.devices.force.settings import NetFtConfig
 
 logger = logging.getLogger(__name__)
@@ -145,7 +136,7 @@ _IN_A_ROW = f"({CORRUPT_IN_A_ROW} in a row)"
 _PAGE_TIMEOUT = 1.0
 
 
-def _difference(opened: Page, now: Page) -> str:
+def _difference(opened: wire.Page, now: wire.Page) -> str:
     names = ("counts_per_force", "counts_per_torque", "force_unit", "torque_unit", "rate_hz")
     return ", ".join(
         f"{name} from {getattr(opened, name)} to {getattr(now, name)}"
@@ -166,7 +157,7 @@ class NetFtDriver(ReceivingDriver):
         self._config = config
         self._socket: socket.socket | None = None
         self._stamped: StampedSocket | None = None
-        self._page: Page | None = None
+        self._page: wire.Page | None = None
         self._page_watch: threading.Thread | None = None
         self._scale = np.ones(6)
         self._sequence = -1
@@ -180,7 +171,7 @@ class NetFtDriver(ReceivingDriver):
         try:
             udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
             udp.connect((self._config.host, self._config.udp_port))
-            udp.send(emit_request(COMMAND_REALTIME))
+            udp.send(wire.emit_request(wire.COMMAND_REALTIME))
             udp.settimeout(self._left())
             stamped = StampedSocket(udp, self._clock)
             self._sort(*stamped.receive(64))
@@ -211,7 +202,7 @@ class NetFtDriver(ReceivingDriver):
             "torque_unit": self._page.torque_unit,
             "counts_per_force": self._page.counts_per_force,
             "counts_per_torque": self._page.counts_per_torque,
-            "status": status_text(self._page.runstat),
+            "status": wire.status_text(self._page.runstat),
         }
 
     def _release(self) -> None:
@@ -220,7 +211,7 @@ class NetFtDriver(ReceivingDriver):
             self._page_watch = None
         if self._socket is not None:
             try:
-                self._socket.send(emit_request(COMMAND_STOP))
+                self._socket.send(wire.emit_request(wire.COMMAND_STOP))
             except OSError as error:
                 logger.debug("%s: stop not sent: %s", self._where, error)
             self._socket.close()
@@ -235,10 +226,10 @@ class NetFtDriver(ReceivingDriver):
                 f"{url}: {error}; check the box's power, cable and IP address"
             ) from error
 
-    def _read_page(self, deadline_ns: int) -> Page:
+    def _read_page(self, deadline_ns: int) -> wire.Page:
         content = self._get("netftapi2.xml", deadline_ns)
         try:
-            page = parse_page(content)
+            page = wire.parse_page(content)
         except ValueError as error:
             raise DeviceLost(
                 f"{self._config.host}: netftapi2.xml: {error}; check that it is a Net F/T box"
@@ -249,12 +240,12 @@ class NetFtDriver(ReceivingDriver):
             raise ConfigError(f"{self._config.host}: netftapi2.xml: {error}") from error
         return page
 
-    def _settled_page(self, deadline_ns: int) -> Page:
+    def _settled_page(self, deadline_ns: int) -> wire.Page:
         page = self._read_page(deadline_ns)
-        if page.runstat & ERROR_MASK:
+        if page.runstat & wire.ERROR_MASK:
             raise DeviceLost(
                 f"{self._config.host}: the box reports 0x{page.runstat:08x}: "
-                f"{status_text(page.runstat)}; check the transducer's cable, then power-cycle"
+                f"{wire.status_text(page.runstat)}; check the transducer's cable, then power-cycle"
             )
         requested_hz = round(self._config.rate_hz)
         if page.rate_hz != requested_hz:
@@ -267,7 +258,7 @@ class NetFtDriver(ReceivingDriver):
             )
         return page
 
-    def _watch_page(self, opened: Page) -> None:
+    def _watch_page(self, opened: wire.Page) -> None:
         """End the stream when the settings of the box differ from those it was opened with.
 
         A record does not contain its units: changing them on the box's web page during a stream
@@ -316,12 +307,12 @@ class NetFtDriver(ReceivingDriver):
         self._sort(packet, t_ns)
 
     def _sort(self, packet: bytes, t_ns: int) -> None:
-        if len(packet) != RECORD.size:
+        if len(packet) != wire.RECORD.size:
             self._count_corrupt(
-                f"packets of {len(packet)} bytes; a record has {RECORD.size} {_IN_A_ROW}"
+                f"packets of {len(packet)} bytes; a record has {wire.RECORD.size} {_IN_A_ROW}"
             )
             return
-        rdt_sequence, _, status, *counts = RECORD.unpack(packet)
+        rdt_sequence, _, status, *counts = wire.RECORD.unpack(packet)
         if self._sequence < 0:
             self._sequence = rdt_sequence - 1
         step = (rdt_sequence - self._sequence) & 0xFFFFFFFF

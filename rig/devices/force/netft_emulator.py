@@ -29,16 +29,8 @@ from rig.core.emulation import LATE_MOST, DeviceHandler, DeviceServer, Emulator,
 from rig.core.errors import ConfigError
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.core.playback import PlayableConfig, Playback, stated_rate
+from rig.devices.force import netft_wire as wire
 from rig.devices.force.emulated_noise import NOISE_ROWS, noise_table
-from rig.devices.force.netft_wire import (
-    COMMAND_BIAS,
-    COMMAND_REALTIME,
-    COMMAND_STOP,
-    RECORD,
-    Page,
-    emit_page,
-    parse_request,
-)
 from rig.devices.force.settings import NetFtConfig
 
 if TYPE_CHECKING:
@@ -59,7 +51,7 @@ class NetFtEmulatorConfig(PlayableConfig):
     """Ports and settings of the emulated box."""
 
     device: NetFtConfig = field(default=NetFtConfig(http_port=8080))
-    page: Page = field(default=Page(product="Net F/T emulator", serial="FT00000"))
+    page: wire.Page = field(default=wire.Page(product="Net F/T emulator", serial="FT00000"))
     """Content of netftapi2.xml; comm.cgi changes its rate."""
     noise: float = field(default=0.0, metadata={"unit": "n"})
     """Standard deviation of the force components [N]."""
@@ -167,7 +159,7 @@ class NetFtEmulator(Emulator):
 
         def packet(place: int, before: int = 0) -> bytes:
             number = (numbers[place] - before) & 0xFFFFFFFF
-            return RECORD.pack(number, number, status[place], *counts[place])
+            return wire.RECORD.pack(number, number, status[place], *counts[place])
 
         def send(place: int) -> None:
             if self._peer is None:
@@ -188,7 +180,7 @@ class NetFtEmulator(Emulator):
         self._ft_sequence = (self._ft_sequence + stride) & 0xFFFFFFFF
         row = noise[self._ft_sequence % NOISE_ROWS]
         biased = np.rint(counts - self._bias + row).clip(-(2**31), 2**31 - 1).astype(np.int64)
-        packet = RECORD.pack(
+        packet = wire.RECORD.pack(
             self._rdt_sequence, self._ft_sequence, self.page.runstat, *biased.tolist()
         )
         for sent in self.faults.passed(packet):
@@ -207,16 +199,16 @@ class NetFtEmulator(Emulator):
                 packet, peer = udp.recvfrom(64)
             except OSError:
                 return started
-            request = parse_request(packet)
+            request = wire.parse_request(packet)
             if request is None or self.faults.unplugged:
                 continue
             command, samples = request
-            if command == COMMAND_REALTIME:
+            if command == wire.COMMAND_REALTIME:
                 self._peer, self._left, self._rdt_sequence = peer, samples, 0
                 started = True
-            elif command == COMMAND_STOP:
+            elif command == wire.COMMAND_STOP:
                 self._peer = None
-            elif command == COMMAND_BIAS:
+            elif command == wire.COMMAND_BIAS:
                 self._bias = counts
 
 
@@ -225,7 +217,7 @@ class _PageHandler(DeviceHandler):
 
     def get(self, url: SplitResult) -> None:
         if url.path == "/netftapi2.xml":
-            self.answer(emit_page(self.server.emulator.page), "text/xml")
+            self.answer(wire.emit_page(self.server.emulator.page), "text/xml")
         elif url.path == "/comm.cgi":
             for text in parse_qs(url.query).get("comrdtrate", []):
                 if text.isdecimal():
@@ -238,14 +230,14 @@ class _PageHandler(DeviceHandler):
 # Recorded forces as the box that measured them would send them again.
 
 
-def force_page(stream: Stream) -> Page:
+def force_page(stream: Stream) -> wire.Page:
     """Return the settings of the F/T box that recorded a force stream; defaults if not stored."""
     device = stream.attrs.get("device") or {}
     names = ("product", "serial", "force_unit", "torque_unit")
     stated: dict[str, Any] = {name: str(device[name]) for name in names if device.get(name)}
     counts = ("counts_per_force", "counts_per_torque")
     stated |= {name: float(device[name]) for name in counts if device.get(name)}
-    page = Page(**stated, rate_hz=max(round(stated_rate(stream)), 1))
+    page = wire.Page(**stated, rate_hz=max(round(stated_rate(stream)), 1))
     try:
         page.scale()
     except ConfigError as error:
@@ -258,7 +250,7 @@ def force_bias(stream: Stream) -> Floats:
     return np.array(stream.attrs.get("bias") or [0.0] * 6, np.float64)
 
 
-def force_counts(value: Floats, bias: Floats, page: Page, name: str = "force") -> Ints:
+def force_counts(value: Floats, bias: Floats, page: wire.Page, name: str = "force") -> Ints:
     """Return the counts (n, 6) from which the driver computes exactly `value`, by the box's page.
 
     Values are as stored: measured minus bias (6,), (n, 6) [N, N m].

@@ -16,28 +16,7 @@ import serial
 
 from rig.core.clock import SECOND_NS, Clock, Pacer
 from rig.core.errors import DeviceLost
-from rig.devices.gripper.robotiq_wire import (
-    ACTIVE,
-    AT_POSITION,
-    COMMAND_ADDRESS,
-    MOVING,
-    READ_INPUT,
-    REGISTERS,
-    RESET,
-    STATUS_ADDRESS,
-    WRITE,
-    FrameError,
-    GripperCommand,
-    GripperStatus,
-    ModbusRequest,
-    RefusedError,
-    emit_command,
-    emit_request,
-    fault_text,
-    parse_reply,
-    parse_status,
-    reply_length,
-)
+from rig.devices.gripper import robotiq_wire as wire
 from rig.devices.gripper.settings import RobotiqConfig
 
 logger = logging.getLogger(__name__)
@@ -86,43 +65,43 @@ class RobotiqDriver:
             self.close()
             raise
 
-    def status(self) -> GripperStatus:
+    def status(self) -> wire.GripperStatus:
         """Return the gripper's current status."""
-        return parse_status(self._ask(READ_INPUT, STATUS_ADDRESS))
+        return wire.parse_status(self._ask(wire.READ_INPUT, wire.STATUS_ADDRESS))
 
-    def activate(self, timeout: float) -> GripperStatus:
+    def activate(self, timeout: float) -> wire.GripperStatus:
         """Activate an inactive gripper: in 1 to 2 s it opens, closes and drops its object."""
-        if self.status().state == ACTIVE:
+        if self.status().state == wire.ACTIVE:
             return self.status()
-        self._tell(GripperCommand(activate=False))
-        self._wait(lambda status: status.state == RESET, timeout, "reset")
-        self._tell(GripperCommand(activate=True))
-        return self._wait(lambda status: status.state == ACTIVE, timeout, "be active")
+        self._tell(wire.GripperCommand(activate=False))
+        self._wait(lambda status: status.state == wire.RESET, timeout, "reset")
+        self._tell(wire.GripperCommand(activate=True))
+        return self._wait(lambda status: status.state == wire.ACTIVE, timeout, "be active")
 
     def move(
         self, position: int, *, speed: int, force: int, timeout: float = 10.0
-    ) -> GripperStatus:
+    ) -> wire.GripperStatus:
         """Move the fingers to `position` and wait [s] until they rest there, or on an object.
 
         Position is 0 open to 255 closed, speed 0 slowest, force 0 weakest, to 255.
         """
-        command = GripperCommand(go=True, position=position, speed=speed, force=force)
-        if self.status().state != ACTIVE:
+        command = wire.GripperCommand(go=True, position=position, speed=speed, force=force)
+        if self.status().state != wire.ACTIVE:
             raise DeviceLost(f"{self._where}: not active; activate it first")
         self._tell(command)
         return self._wait(
             lambda status: (
-                status.requested == position and status.going and status.object != MOVING
+                status.requested == position and status.going and status.object != wire.MOVING
             ),
             timeout,
             "come to rest",
         )
 
-    def close_fingers(self) -> GripperStatus:
+    def close_fingers(self) -> wire.GripperStatus:
         """Close with the configured speed and force; the status shows if it holds an object."""
         return self.move(255, speed=self._config.speed, force=self._config.force)
 
-    def open_fingers(self) -> GripperStatus:
+    def open_fingers(self) -> wire.GripperStatus:
         """Open with the configured speed and force."""
         return self.move(0, speed=self._config.speed, force=self._config.force)
 
@@ -161,24 +140,26 @@ class RobotiqDriver:
                 if self._clock.now_ns() > deadline_ns:
                     raise
 
-    def _tell(self, command: GripperCommand) -> None:
-        self._ask(WRITE, COMMAND_ADDRESS, emit_command(command))
+    def _tell(self, command: wire.GripperCommand) -> None:
+        self._ask(wire.WRITE, wire.COMMAND_ADDRESS, wire.emit_command(command))
 
-    def _wait(self, reached: Any, timeout: float, what: str) -> GripperStatus:
+    def _wait(self, reached: Any, timeout: float, what: str) -> wire.GripperStatus:
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         while True:
             status = self.status()
             if reached(status):
                 return status
             if status.fault >= 8:
-                raise DeviceLost(f"{self._where}: fault {status.fault}: {fault_text(status.fault)}")
+                raise DeviceLost(
+                    f"{self._where}: fault {status.fault}: {wire.fault_text(status.fault)}"
+                )
             if self._clock.now_ns() > deadline_ns:
                 raise DeviceLost(f"{self._where}: did not {what} in {timeout:g} s: {status.text}")
             self._clock.sleep_until(self._clock.now_ns() + _LOOK_NS)
 
     def _ask(self, function: int, address: int, values: tuple[int, ...] = ()) -> tuple[int, ...]:
         """Send one request and return the registers of its reply."""
-        request = ModbusRequest(self._config.slave, function, address, REGISTERS, values)
+        request = wire.ModbusRequest(self._config.slave, function, address, wire.REGISTERS, values)
         with self._lock:
             port = self._serial
             if port is None:
@@ -186,7 +167,7 @@ class RobotiqDriver:
             try:
                 # The rest of a late answer must not be taken for this one.
                 port.reset_input_buffer()
-                port.write(emit_request(request))
+                port.write(wire.emit_request(request))
                 frame = self._reply(port, request)
             except (OSError, termios.error, TypeError) as error:
                 # pyserial raises TypeError when the port is closed under a read.
@@ -197,11 +178,11 @@ class RobotiqDriver:
                 f"and its address {self._config.slave}?"
             )
         try:
-            return parse_reply(frame, request)
-        except (FrameError, RefusedError) as error:
+            return wire.parse_reply(frame, request)
+        except (wire.FrameError, wire.RefusedError) as error:
             raise DeviceLost(f"{self._where}: {error}") from error
 
-    def _reply(self, port: Any, request: ModbusRequest) -> bytes:
+    def _reply(self, port: Any, request: wire.ModbusRequest) -> bytes:
         """Return the bytes received within the time limit, up to the end of the reply.
 
         Those that have come are read however late this thread runs, on a busy computer.
@@ -214,7 +195,7 @@ class RobotiqDriver:
                 break
             frame += port.read(min(max(port.in_waiting, 1), length - len(frame)))
             if len(frame) == _REFUSAL and not frame[1] & 0x80:
-                length = reply_length(request)
+                length = wire.reply_length(request)
         return frame
 
 
@@ -245,7 +226,7 @@ def swap_held(
     pause: float = 5.0,
     patience: float = 600.0,
     speed: int = _GENTLE,
-) -> GripperStatus:
+) -> wire.GripperStatus:
     """Open the fingers and wait until `what` is between them, without any key press.
 
     Every `pause` seconds the fingers close, slowly and weakly, and open again if they meet nothing;
@@ -276,17 +257,17 @@ def _rest(clock: Clock, seconds: float) -> None:
 # Supervision of the grip while the arm works, on a background thread.
 
 
-def judge(status: GripperStatus, reference: GripperStatus, tolerance: int) -> str | None:
+def judge(status: wire.GripperStatus, reference: wire.GripperStatus, tolerance: int) -> str | None:
     """Return the reason why the grip is lost, or None while it holds.
 
     The reference is the status when it was known to hold; the fingers may have moved by the
     tolerance, in counts of 255.
     """
     if status.fault:
-        return f"fault {status.fault}: {fault_text(status.fault)}"
-    if status.state != ACTIVE:
+        return f"fault {status.fault}: {wire.fault_text(status.fault)}"
+    if status.state != wire.ACTIVE:
         return "it is not active any more"
-    if status.object == AT_POSITION:
+    if status.object == wire.AT_POSITION:
         return f"the object is gone (gOBJ 3, fingers at {status.position} of 255)"
     if not status.holding:
         return f"the fingers move (gOBJ 0, at {status.position} of 255)"
@@ -341,7 +322,7 @@ class GripWatch:
             self._thread = None
         self._driver.close()
 
-    def _run(self, reference: GripperStatus) -> None:
+    def _run(self, reference: wire.GripperStatus) -> None:
         pacer = Pacer(self._clock, self._config.rate_hz)
         heard_ns = self._clock.now_ns()
         while not self._ending.is_set() and self.lost is None:

@@ -23,34 +23,7 @@ from typing import Any
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.emulation import EmulatorConfig, Pty, PtyEmulator, Served
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
-from rig.devices.gripper.robotiq_wire import (
-    ACTIVATING,
-    ACTIVE,
-    AT_POSITION,
-    COMMAND_ADDRESS,
-    ILLEGAL_ADDRESS,
-    ILLEGAL_FUNCTION,
-    ILLEGAL_VALUE,
-    MOVING,
-    READ_HOLDING,
-    READ_INPUT,
-    REGISTERS,
-    RESET,
-    SILENT_FAULT,
-    STATUS_ADDRESS,
-    STOPPED_CLOSING,
-    WRITE,
-    FrameError,
-    GripperCommand,
-    GripperStatus,
-    ModbusRequest,
-    emit_refusal,
-    emit_reply,
-    emit_status,
-    parse_command,
-    parse_request,
-    request_length,
-)
+from rig.devices.gripper import robotiq_wire as wire
 from rig.devices.gripper.settings import RobotiqConfig
 
 # Behaviour of the emulated gripper: activation, movement, the object, faults. No I/O.
@@ -78,8 +51,8 @@ class Fingers:
     def __init__(self, clock: Clock, *, object_at: int | None, holding: bool = False) -> None:
         self._clock = clock
         self._object_at = object_at
-        self._command = GripperCommand(activate=False)
-        self._state = RESET
+        self._command = wire.GripperCommand(activate=False)
+        self._state = wire.RESET
         self._activated_ns = 0
         self._position = float(_OPEN)
         self._moved_ns = self._heard_ns = clock.now_ns()
@@ -87,17 +60,17 @@ class Fingers:
         if holding:
             if object_at is None:
                 raise ValueError("holding: nothing to hold; allowed: with an object")
-            self._command = GripperCommand(go=True, position=255, speed=50, force=150)
-            self._state, self._position = ACTIVE, float(object_at)
+            self._command = wire.GripperCommand(go=True, position=255, speed=50, force=150)
+            self._state, self._position = wire.ACTIVE, float(object_at)
 
-    def obey(self, command: GripperCommand) -> None:
+    def obey(self, command: wire.GripperCommand) -> None:
         """Execute the command that was written to the registers."""
         self._advance()
         if not command.activate:
-            self._state, self._fault = RESET, 0
+            self._state, self._fault = wire.RESET, 0
         elif not self._command.activate:
-            self._state, self._activated_ns = ACTIVATING, self._clock.now_ns()
-        elif command.go and self._state != ACTIVE:
+            self._state, self._activated_ns = wire.ACTIVATING, self._clock.now_ns()
+        elif command.go and self._state != wire.ACTIVE:
             self._fault = 5
         self._command = command
 
@@ -105,20 +78,20 @@ class Fingers:
         """Note that the line is alive; after a second of silence the next status reports it."""
         now_ns = self._clock.now_ns()
         if now_ns - self._heard_ns > _SILENT_NS:
-            self._fault = SILENT_FAULT
+            self._fault = wire.SILENT_FAULT
         self._heard_ns = now_ns
 
-    def status(self) -> GripperStatus:
+    def status(self) -> wire.GripperStatus:
         """Return the current status; the fault of a silence is reported once."""
         self._advance()
         command, fault = self._command, self._fault
-        if fault == SILENT_FAULT:
+        if fault == wire.SILENT_FAULT:
             self._fault = 0
         detection = self._object()
         current = 0.0
-        if self._state == ACTIVE and command.go:
-            current = _MOVING_CURRENT if detection == MOVING else _HOLDING_CURRENT
-        return GripperStatus(
+        if self._state == wire.ACTIVE and command.go:
+            current = _MOVING_CURRENT if detection == wire.MOVING else _HOLDING_CURRENT
+        return wire.GripperStatus(
             active=command.activate,
             going=command.go,
             state=self._state,
@@ -153,9 +126,9 @@ class Fingers:
     def _advance(self) -> None:
         now_ns = self._clock.now_ns()
         elapsed, self._moved_ns = (now_ns - self._moved_ns) / SECOND_NS, now_ns
-        if self._state == ACTIVATING and now_ns - self._activated_ns >= ACTIVATION * SECOND_NS:
-            self._state, self._position = ACTIVE, float(_OPEN)
-        if self._state != ACTIVE or not self._command.go:
+        if self._state == wire.ACTIVATING and now_ns - self._activated_ns >= ACTIVATION * SECOND_NS:
+            self._state, self._position = wire.ACTIVE, float(_OPEN)
+        if self._state != wire.ACTIVE or not self._command.go:
             return
         goal = self._goal()
         fraction = self._command.speed / 255
@@ -172,12 +145,12 @@ class Fingers:
         return goal
 
     def _object(self) -> int:
-        if self._state != ACTIVE or not self._command.go:
-            return AT_POSITION if self._state == RESET else MOVING
+        if self._state != wire.ACTIVE or not self._command.go:
+            return wire.AT_POSITION if self._state == wire.RESET else wire.MOVING
         goal = self._goal()
         if self._position != goal:
-            return MOVING
-        return STOPPED_CLOSING if goal == self._object_at else AT_POSITION
+            return wire.MOVING
+        return wire.STOPPED_CLOSING if goal == self._object_at else wire.AT_POSITION
 
 
 # A pause this long ends a frame, as 3.5 characters do on a wire; a pty delivers in chunks [s].
@@ -235,11 +208,11 @@ class RobotiqEmulator(PtyEmulator):
 
     def _answers(self, fd: int, pending: bytes) -> bytes:
         """Answer the complete requests in `pending` and return the rest."""
-        while (length := request_length(pending)) is not None and len(pending) >= length:
+        while (length := wire.request_length(pending)) is not None and len(pending) >= length:
             frame, pending = pending[:length], pending[length:]
             try:
-                request = parse_request(frame)
-            except FrameError:
+                request = wire.parse_request(frame)
+            except wire.FrameError:
                 # Out of sync: no answer, and the rest of the data is not trusted either.
                 return b""
             if request.slave != self._slave:
@@ -251,24 +224,24 @@ class RobotiqEmulator(PtyEmulator):
                 os.write(fd, message)
         return pending
 
-    def _answer(self, request: ModbusRequest) -> bytes:
+    def _answer(self, request: wire.ModbusRequest) -> bytes:
         self.fingers.heard()
-        if request.function == WRITE:
-            if request.address != COMMAND_ADDRESS:
-                return emit_refusal(request, ILLEGAL_ADDRESS)
-            if request.count != REGISTERS:
-                return emit_refusal(request, ILLEGAL_VALUE)
-            self.fingers.obey(parse_command(request.values))
-            return emit_reply(request)
-        if request.function not in (READ_HOLDING, READ_INPUT):
-            return emit_refusal(request, ILLEGAL_FUNCTION)
-        first = request.address - STATUS_ADDRESS
-        if first < 0 or first + request.count > REGISTERS:
-            return emit_refusal(request, ILLEGAL_ADDRESS)
+        if request.function == wire.WRITE:
+            if request.address != wire.COMMAND_ADDRESS:
+                return wire.emit_refusal(request, wire.ILLEGAL_ADDRESS)
+            if request.count != wire.REGISTERS:
+                return wire.emit_refusal(request, wire.ILLEGAL_VALUE)
+            self.fingers.obey(wire.parse_command(request.values))
+            return wire.emit_reply(request)
+        if request.function not in (wire.READ_HOLDING, wire.READ_INPUT):
+            return wire.emit_refusal(request, wire.ILLEGAL_FUNCTION)
+        first = request.address - wire.STATUS_ADDRESS
+        if first < 0 or first + request.count > wire.REGISTERS:
+            return wire.emit_refusal(request, wire.ILLEGAL_ADDRESS)
         if request.count < 1:
-            return emit_refusal(request, ILLEGAL_VALUE)
-        registers = emit_status(self.fingers.status())
-        return emit_reply(request, registers[first : first + request.count])
+            return wire.emit_refusal(request, wire.ILLEGAL_VALUE)
+        registers = wire.emit_status(self.fingers.status())
+        return wire.emit_reply(request, registers[first : first + request.count])
 
 
 @dataclass(frozen=True, slots=True)

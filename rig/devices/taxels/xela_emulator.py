@@ -128,7 +128,12 @@ class XelaEmulator(Emulator):
         if isinstance(source, Playback):
             message = _recorded_messages(source, self._config)
             self._lead_in = (message(0, before=1),)
-            make = partial(self._play, source, message)
+            make = partial(
+                source.run,
+                lambda place: self._scans.publish([message(place)]),
+                window=_WINDOW,
+                ending=self._ending,
+            )
         else:
             make = partial(self._make_scans, source)
         self._server = listen(
@@ -171,11 +176,6 @@ class XelaEmulator(Emulator):
                 axes=self._config.device.axes,
             )
             self._scans.publish(self.faults.passed(message))
-
-    def _play(self, playback: Playback, message: Callable[..., str]) -> None:
-        playback.run(
-            lambda place: self._scans.publish([message(place)]), window=_WINDOW, ending=self._ending
-        )
 
     def _counts(self, source: SharedWorld | Log) -> list[int]:
         if isinstance(source, np.ndarray):

@@ -54,7 +54,8 @@ def parse(text: str | bytes, sensor: str, taxels: int, axes: int = 3) -> Scan | 
     if isinstance(number, str) and number.startswith("Welcome"):
         return None
     if not isinstance(number, int) or isinstance(number, bool):
-        old = f"; {_OLD_SUITE}" if number is None and _is_old(message) else ""
+        is_old = any(isinstance(value, list) for value in message.values()) or "xyz" in message
+        old = f"; {_OLD_SUITE}" if number is None and is_old else ""
         raise ValueError(f"message: {number!r}; expected a count{old}")
     part = message.get(sensor)
     if not isinstance(part, dict):
@@ -66,10 +67,6 @@ def parse(text: str | bytes, sensor: str, taxels: int, axes: int = 3) -> Scan | 
         counts=np.array(_values(part, taxels, axes), np.int32).reshape(taxels, axes),
         description={key: value for key, value in part.items() if key != "data"},
     )
-
-
-def _is_old(message: dict[str, Any]) -> bool:
-    return any(isinstance(value, list) for value in message.values()) or "xyz" in message
 
 
 def _values(part: dict[str, Any], taxels: int, axes: int) -> list[int]:

@@ -13,53 +13,11 @@ _FIXED_BITS = 4
 _BEYOND = 0.5
 
 
-class Backdrop:
-    """Image of a lit gel of an RGB colour without markers, and the noise of the camera.
+class MarkerPicture:
+    """Markers of any shape on a lit gel of an RGB colour, and the noise of the camera.
 
     The lamps at the sides are coloured, or there is one white light; noise is in grey levels.
     """
-
-    def __init__(
-        self,
-        background: tuple[int, int, int],
-        *,
-        grey_noise: float = 0.0,
-        light: Literal["coloured", "white"] = "coloured",
-        seed: int = 0,
-    ) -> None:
-        row, column = np.mgrid[0:HEIGHT, 0:WIDTH]
-        across = (column - WIDTH / 2) / WIDTH
-        down = (row - HEIGHT / 2) / HEIGHT
-        vignette = 1.08 - 0.45 * (across**2 + down**2)
-        colour = 1.0 if light == "coloured" else 0.0
-        sides = (0.18 * across, -0.10 * down, -0.18 * across)
-        tint = 1 + colour * np.stack(sides, axis=-1)
-        lit = vignette[..., None] * tint * np.array(background)
-        self.lit = np.clip(lit, 0, 255).astype(np.uint8)
-        """RGB (480, 640, 3)."""
-        self._noise = None
-        if grey_noise > 0:
-            # Random crops of one noise bank cost a copy instead of a million random numbers.
-            rng = np.random.default_rng(seed)
-            bank = rng.normal(0, grey_noise, (HEIGHT + 64, WIDTH + 64, 3)).round()
-            # Brighter and darker pixels, in the type of the image.
-            self._noise = [np.clip(sign * bank, 0, 255).astype(np.uint8) for sign in (1, -1)]
-            self._rng = rng
-
-    def noisy(self, image: np.ndarray) -> np.ndarray:
-        """Return the image (480, 640, 3) with the camera's noise, if it has any."""
-        import cv2
-
-        if self._noise is None:
-            return image
-        top, left = self._rng.integers(0, 64, 2)
-        more, less = (bank[top : top + HEIGHT, left : left + WIDTH] for bank in self._noise)
-        noisy: np.ndarray = cv2.subtract(cv2.add(image, more), less)
-        return noisy
-
-
-class MarkerPicture:
-    """Markers of any shape on a lit gel."""
 
     def __init__(
         self,
@@ -70,11 +28,26 @@ class MarkerPicture:
         grey_noise: float = 0.0,
         seed: int = 0,
     ) -> None:
-        self._backdrop = Backdrop(background, grey_noise=grey_noise, light=light, seed=seed)
+        row, column = np.mgrid[0:HEIGHT, 0:WIDTH]
+        across = (column - WIDTH / 2) / WIDTH
+        down = (row - HEIGHT / 2) / HEIGHT
+        vignette = 1.08 - 0.45 * (across**2 + down**2)
+        colour = 1.0 if light == "coloured" else 0.0
+        sides = (0.18 * across, -0.10 * down, -0.18 * across)
+        tint = 1 + colour * np.stack(sides, axis=-1)
+        lit = vignette[..., None] * tint * np.array(background)
+        self._lit = np.clip(lit, 0, 255).astype(np.uint8)
         self._ink = np.broadcast_to(np.array(ink, np.uint8), (HEIGHT, WIDTH, 3)).copy()
+        self._noise = None
+        if grey_noise > 0:
+            # Random crops of one noise bank cost a copy instead of a million random numbers.
+            self._rng = np.random.default_rng(seed)
+            bank = self._rng.normal(0, grey_noise, (HEIGHT + 64, WIDTH + 64, 3)).round()
+            # Brighter and darker pixels, in the type of the image.
+            self._noise = [np.clip(sign * bank, 0, 255).astype(np.uint8) for sign in (1, -1)]
         self._canvas = np.zeros((FINE * HEIGHT, FINE * WIDTH), np.uint8)
         # The last picture without noise, and its rims: nothing moves between two presses.
-        self._rims, self._clean = np.zeros(0), self._backdrop.lit
+        self._rims, self._clean = np.zeros(0), self._lit
 
     def image(self, rims: np.ndarray) -> np.ndarray:
         """Return the image, RGB (480, 640, 3) uint8, of markers with these rims (n, m, 2) [px]."""
@@ -82,10 +55,16 @@ class MarkerPicture:
 
         if not np.array_equal(rims, self._rims):
             fraction = cv2.merge([coverage(rims, self._canvas)] * 3)
-            lit = cv2.multiply(self._backdrop.lit, 255 - fraction, scale=1 / 255)
+            lit = cv2.multiply(self._lit, 255 - fraction, scale=1 / 255)
             self._clean = cv2.add(lit, cv2.multiply(self._ink, fraction, scale=1 / 255))
             self._rims = rims
-        return self._backdrop.noisy(self._clean)
+        picture: np.ndarray = self._clean
+        if self._noise is None:
+            return picture
+        top, left = self._rng.integers(0, 64, 2)
+        more, less = (bank[top : top + HEIGHT, left : left + WIDTH] for bank in self._noise)
+        picture = cv2.subtract(cv2.add(picture, more), less)
+        return picture
 
 
 def coverage(rims: np.ndarray, canvas: np.ndarray | None = None) -> np.ndarray:
