@@ -23,13 +23,7 @@ from recorder.spec import (
     check_streams,
     reference_spec,
 )
-from recorder.store.documents import (
-    check_session_attrs,
-    json_bytes,
-    merge_attrs,
-    read_session_attrs,
-    write_group,
-)
+from recorder.store import documents
 from recorder.store.files import sync_directory, sync_tree
 from recorder.store.layout import StreamLayout, create_stream, write_table
 from recorder.store.manifest import hold, remove_unfinished, seal
@@ -103,13 +97,13 @@ class SessionWriter:
             SessionError: Not a session, or one that is being written.
         """
         session = Path(path)
-        attrs = read_session_attrs(session)
+        attrs = documents.read_session_attrs(session)
         remove_unfinished(session)
         hold(session, attrs)
         recover_streams(session)
         if attrs["status"] == "recording":  # the run that was not closed
             seal(session)
-        merge_attrs(session, {"status": "recording", "reason": ""})
+        documents.merge_attrs(session, {"status": "recording", "reason": ""})
         return cls(session)
 
     def begin_run(self, entry: dict[str, Any]) -> None:
@@ -121,9 +115,9 @@ class SessionWriter:
         names = [*_stream_names(self.path)]
         first_row = {name: survey(StreamLayout.load(self.stream_path(name))).rows for name in names}
         first_row |= {"segments": self.segments.rows, "reference": self.reference.rows}
-        runs = read_session_attrs(self.path)["runs"]
+        runs = documents.read_session_attrs(self.path)["runs"]
         _check_written({"runs": [entry]}, self.path)
-        merge_attrs(self.path, {"runs": [*runs, {**entry, "first_row": first_row}]})
+        documents.merge_attrs(self.path, {"runs": [*runs, {**entry, "first_row": first_row}]})
 
     def end_run(self, entry: dict[str, Any]) -> None:
         """Add attributes to the entry of the last run.
@@ -131,7 +125,7 @@ class SessionWriter:
         Raises:
             SessionError: An attribute that readers would refuse.
         """
-        runs = read_session_attrs(self.path)["runs"]
+        runs = documents.read_session_attrs(self.path)["runs"]
         self.set_attrs(runs=[*runs[:-1], {**runs[-1], **entry}])
 
     def stream_path(self, name: str) -> Path:
@@ -152,7 +146,7 @@ class SessionWriter:
             SessionError: An attribute that readers would refuse.
         """
         _check_written(attrs, self.path)
-        merge_attrs(self.path, attrs)
+        documents.merge_attrs(self.path, attrs)
 
     def finish(
         self, status: str, reason: str = "", *, rate_hz: float, clocks: bool = False
@@ -176,7 +170,7 @@ class SessionWriter:
             raise SessionError(f"found status {status!r}, expected one of {', '.join(final)}")
         self.close()
         recover_streams(self.path)
-        merge_attrs(self.path, {"rate_hz": float(rate_hz)})
+        documents.merge_attrs(self.path, {"rate_hz": float(rate_hz)})
         if clocks:
             fit_clocks(self.path)
         write_frames(self.path, rate_hz)
@@ -198,7 +192,7 @@ class SessionWriter:
 
 def _check_written(attrs: dict[str, Any], path: Path) -> None:
     """Reject attributes that readers would refuse."""
-    check_session_attrs(json.loads(json_bytes(path, attrs)), str(path))
+    documents.check_session_attrs(json.loads(documents.json_bytes(path, attrs)), str(path))
 
 
 def _stream_names(path: Path) -> list[str]:
@@ -216,9 +210,11 @@ def _build(
     _check_written(attrs, path)
     path.mkdir(parents=True)
     fixed = {"format": FORMAT, "format_version": FORMAT_VERSION, "status": "recording", "runs": []}
-    write_group(path, {**attrs, **fixed}, durable=False)
+    documents.write_group(path, {**attrs, **fixed}, durable=False)
     (path / "streams").mkdir()
-    write_group(path / "streams", {"order": [spec.name for spec in streams]}, durable=False)
+    documents.write_group(
+        path / "streams", {"order": [spec.name for spec in streams]}, durable=False
+    )
     for spec in streams:
         create_stream(path / "streams" / spec.name, spec)
     create_stream(path / "segments", SEGMENTS)
