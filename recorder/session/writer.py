@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
@@ -24,11 +23,9 @@ from recorder.spec import (
     reference_spec,
 )
 from recorder.store import documents
-from recorder.store.files import sync_directory, sync_tree
+from recorder.store.files import building, sync_tree
 from recorder.store.layout import StreamLayout, create_stream, write_table
 from recorder.store.manifest import hold, remove_unfinished, seal
-
-_CREATING = ".creating"
 
 
 class SessionWriter:
@@ -78,15 +75,11 @@ class SessionWriter:
             raise SessionError(f"{str(final)!r}: allowed as a name: printable characters alone")
         if final.exists():
             raise SessionError(f"{final}: exists already; resume it or choose another name")
-        building = final.with_name(final.name + _CREATING)
-        shutil.rmtree(building, ignore_errors=True)
-        try:
-            _build(building, attrs, streams, targets)
-        except BaseException:
-            shutil.rmtree(building, ignore_errors=True)
-            raise
-        building.rename(final)
-        sync_directory(final.parent)
+        check_streams(streams)
+        _check_written(attrs, final)
+        final.parent.mkdir(parents=True, exist_ok=True)
+        with building(final) as beside:
+            _build(beside, attrs, streams, targets)
         return cls(final)
 
     @classmethod
@@ -206,9 +199,7 @@ def _build(
     streams: Sequence[StreamSpec],
     targets: Mapping[str, np.ndarray[Any, Any]],
 ) -> None:
-    check_streams(streams)
-    _check_written(attrs, path)
-    path.mkdir(parents=True)
+    path.mkdir()
     fixed = {"format": FORMAT, "format_version": FORMAT_VERSION, "status": "recording", "runs": []}
     documents.write_group(path, {**attrs, **fixed}, durable=False)
     (path / "streams").mkdir()
