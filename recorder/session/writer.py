@@ -8,20 +8,11 @@ from typing import Any, Self
 
 import numpy as np
 
+from recorder import spec
 from recorder.errors import SessionError
 from recorder.session.clocks import fit_clocks
 from recorder.session.frames import write_frames
 from recorder.session.stream_writer import StreamWriter, recover_streams, survey
-from recorder.spec import (
-    FORMAT,
-    FORMAT_VERSION,
-    SEGMENTS,
-    STATUSES,
-    TARGET_UNITS,
-    StreamSpec,
-    check_streams,
-    reference_spec,
-)
 from recorder.store import documents
 from recorder.store.files import building, sync_tree
 from recorder.store.layout import StreamLayout, create_stream, write_table
@@ -56,7 +47,7 @@ class SessionWriter:
         path: str | os.PathLike[str],
         *,
         attrs: dict[str, Any],
-        streams: Sequence[StreamSpec],
+        streams: Sequence[spec.StreamSpec],
         targets: Mapping[str, np.ndarray[Any, Any]],
     ) -> Self:
         """Create a session with empty streams, status `recording`.
@@ -75,7 +66,7 @@ class SessionWriter:
             raise SessionError(f"{str(final)!r}: allowed as a name: printable characters alone")
         if final.exists():
             raise SessionError(f"{final}: exists already; resume it or choose another name")
-        check_streams(streams)
+        spec.check_streams(streams)
         _check_written(attrs, final)
         final.parent.mkdir(parents=True, exist_ok=True)
         with building(final) as beside:
@@ -158,7 +149,7 @@ class SessionWriter:
         Raises:
             SessionError: An unknown status, or a stream that is still being written.
         """
-        final = STATUSES[1:]
+        final = spec.STATUSES[1:]
         if status not in final:
             raise SessionError(f"found status {status!r}, expected one of {', '.join(final)}")
         self.close()
@@ -196,19 +187,24 @@ def _stream_names(path: Path) -> list[str]:
 def _build(
     path: Path,
     attrs: dict[str, Any],
-    streams: Sequence[StreamSpec],
+    streams: Sequence[spec.StreamSpec],
     targets: Mapping[str, np.ndarray[Any, Any]],
 ) -> None:
     path.mkdir()
-    fixed = {"format": FORMAT, "format_version": FORMAT_VERSION, "status": "recording", "runs": []}
+    fixed = {
+        "format": spec.FORMAT,
+        "format_version": spec.FORMAT_VERSION,
+        "status": "recording",
+        "runs": [],
+    }
     documents.write_group(path, {**attrs, **fixed}, durable=False)
     (path / "streams").mkdir()
     documents.write_group(
-        path / "streams", {"order": [spec.name for spec in streams]}, durable=False
+        path / "streams", {"order": [stream.name for stream in streams]}, durable=False
     )
-    for spec in streams:
-        create_stream(path / "streams" / spec.name, spec)
-    create_stream(path / "segments", SEGMENTS)
-    create_stream(path / "reference", reference_spec(streams))
-    write_table(path / "targets", targets, TARGET_UNITS)
+    for stream in streams:
+        create_stream(path / "streams" / stream.name, stream)
+    create_stream(path / "segments", spec.SEGMENTS)
+    create_stream(path / "reference", spec.reference_spec(streams))
+    write_table(path / "targets", targets, spec.TARGET_UNITS)
     sync_tree(path)
