@@ -142,6 +142,7 @@ def test_items_can_be_counted_again(clock: Clock) -> None:
     assert stream.getvalue() == ""
     clock.now += 10
     progress(5, 10)
+    progress.look()
     assert stream.getvalue() == "5 of 10 frames, 2 s each, 10 s left\n"
 
 
