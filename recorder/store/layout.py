@@ -107,13 +107,6 @@ class ArrayLayout:
     lists_crcs: ClassVar[bool] = False
     """True if a shard lists the checksums of its chunks before its index."""
 
-    @property
-    def fill_value(self) -> Any:
-        """Value of missing data: in shards NaN if the type allows it, to be recognisable."""
-        if self.sharded and self.data_type.startswith("float"):
-            return "NaN"
-        return np.zeros((), self.dtype).item()
-
     @cached_property
     def dtype(self) -> np.dtype[Any]:
         """Little-endian numpy type."""
@@ -169,6 +162,8 @@ class ArrayLayout:
                 "index_location": "end",
             }
             codecs = [{"name": "sharding_indexed", "configuration": sharding}]
+        # Missing data are recognisable in shards: NaN if the type allows it.
+        is_nan = self.sharded and self.data_type.startswith("float")
         grid = [self.rows_per_shard, *self.shape[1:]]
         return {
             "zarr_format": 3,
@@ -180,7 +175,7 @@ class ArrayLayout:
                 "name": "default",
                 "configuration": {"separator": self.separator},
             },
-            "fill_value": self.fill_value,
+            "fill_value": "NaN" if is_nan else np.zeros((), self.dtype).item(),
             "codecs": codecs,
             "attributes": {"units": self.units, "description": self.description, **self.attrs},
             "dimension_names": list(self.dims),
