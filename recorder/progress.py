@@ -30,9 +30,8 @@ ReportItems = Callable[[int, int], None]
 class Progress:
     """Context manager that is called with the fraction done, 0 to 1, and shows it while it is open.
 
-    A daemon thread draws, so the elapsed time advances while the caller computes; without it
-    (`threaded=False`, for measurements) calls draw. The bar is wiped at the end. Standard output is
-    not touched.
+    A daemon thread draws, so the elapsed time advances while the caller computes. The bar is wiped
+    at the end. Standard output is not touched.
     """
 
     _wiped = _starts_at_once = True
@@ -43,7 +42,6 @@ class Progress:
         stream: TextIO,
         *,
         kernels: Path | None = None,
-        threaded: bool = True,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Show the progress of `name` on `stream`.
@@ -66,9 +64,7 @@ class Progress:
         self._bar: Bar | None = None
         self._lock = threading.Lock()
         self._closed = threading.Event()
-        self._thread = (
-            threading.Thread(target=self._watch, name="progress", daemon=True) if threaded else None
-        )
+        self._thread = threading.Thread(target=self._watch, name="progress", daemon=True)
 
     def __call__(self, fraction: float) -> None:
         """Store the fraction done, 0 to 1; a smaller fraction than before restarts the estimate."""
@@ -76,18 +72,14 @@ class Progress:
             self._origin, self._count_down = (self._clock(), fraction), CountDown()
         self._at = self._clock()
         self._share = fraction
-        if self._thread is None:
-            self.look()
 
     def __enter__(self) -> Self:
-        if self._thread is not None:
-            self._thread.start()
+        self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._closed.set()
-        if self._thread is not None:
-            self._thread.join()
+        self._thread.join()
         self._end_bar()
 
     def look(self) -> None:

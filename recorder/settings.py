@@ -108,13 +108,53 @@ class Reader:
     """Families of dataclasses, by the class that stands for one: a function of the `kind` in the
     file that returns the members."""
 
-    def read(self, path: Path, library: Path | None = None) -> dict[str, Any]:
-        """Return the mapping in a YAML file, over the file it `extends`, also of `library`."""
-        return read_mapping(path, self.error, library)
+    def read(
+        self, path: Path, library: Path | None = None, above: tuple[Path, ...] = ()
+    ) -> dict[str, Any]:
+        """Return the mapping in a YAML file, merged over the file named by its `extends`.
+
+        That name is relative to the file; if it is `NAME` or `../NAME` and does not exist, the
+        folder `library` is searched as well. `above` are the files that led here by `extends`.
+        """
+        if path.resolve() in above:
+            raise self.error(f"{path}: extends: the files extend each other in a circle")
+        try:
+            content = self.parse(path.read_text(encoding="utf-8"), str(path))
+        except FileNotFoundError:
+            raise self.error(f"{path}: no such file") from None
+        except UnicodeDecodeError as fault:
+            raise self.error(f"{path}: not YAML: {fault}") from None
+        if not isinstance(content, dict):
+            raise self._wrong(str(path), content, "a mapping of keys to values")
+        parent = content.pop("extends", None)
+        if parent is None:
+            return content
+        if not isinstance(parent, str):
+            raise self._wrong(f"{path}.extends", parent, "the name of a file")
+        extended = path.parent / parent
+        if library is not None and not extended.exists() and set(Path(parent).parts[:-1]) <= {".."}:
+            shared = library / Path(parent).name
+            extended = shared if shared.is_file() else extended
+        if not extended.exists():
+            raise self.error(
+                f"{path}.extends: found {parent!r}; no such file beside it or packaged"
+            )
+        below = self.read(extended, library, (*above, path.resolve()))
+        return merged(below, content)
 
     def parse(self, text: str, where: str) -> Any:
-        """Return the value of a piece of YAML."""
-        return parse(text, where, self.error)
+        """Return the content of a YAML text; `where` is its origin, for messages."""
+        try:
+            loader = _StrictLoader(text)
+            loader.name, loader.error = where, self.error
+            try:
+                return loader.get_single_data()
+            finally:
+                loader.dispose()
+        except yaml.MarkedYAMLError as fault:
+            raise self.error(f"{where}: not YAML: {_in_one_line(fault)}") from None
+        except yaml.YAMLError as fault:
+            raise self.error(f"{where}: not YAML: {fault}") from None
 
     def build(self, kind: type[Value], content: Any, where: str) -> Value:
         """Return the frozen dataclass of a mapping of YAML; `where` is its place, for errors."""
@@ -393,23 +433,8 @@ _StrictLoader.add_constructor(
 
 
 def yaml_text(content: Mapping[str, Any]) -> str:
-    """Return a mapping of plain values as YAML that `parse` reads back."""
+    """Return a mapping of plain values as YAML that `Reader.parse` reads back."""
     return yaml.dump(content, Dumper=_StrictDumper, sort_keys=False)
-
-
-def parse(text: str, name: str, error: type[Exception]) -> Any:
-    """Return the content of a YAML text; `name` is its origin, for messages of an `error`."""
-    try:
-        loader = _StrictLoader(text)
-        loader.name, loader.error = name, error
-        try:
-            return loader.get_single_data()
-        finally:
-            loader.dispose()
-    except yaml.MarkedYAMLError as fault:
-        raise error(f"{name}: not YAML: {_in_one_line(fault)}") from None
-    except yaml.YAMLError as fault:
-        raise error(f"{name}: not YAML: {fault}") from None
 
 
 def _in_one_line(error: yaml.MarkedYAMLError) -> str:
@@ -418,39 +443,6 @@ def _in_one_line(error: yaml.MarkedYAMLError) -> str:
     return ", ".join(
         f"{text} (line {mark.line + 1})" if mark else text for text, mark in marks if text
     )
-
-
-def read_mapping(
-    path: Path, error: type[Exception], library: Path | None, above: tuple[Path, ...] = ()
-) -> dict[str, Any]:
-    """Return the mapping in a YAML file, merged over the file named by its `extends`.
-
-    That name is relative to the file; if it is `NAME` or `../NAME` and does not exist, the folder
-    `library` is searched as well. `above` are the files that led here through `extends`.
-    """
-    if path.resolve() in above:
-        raise error(f"{path}: extends: the files extend each other in a circle")
-    try:
-        content = parse(path.read_text(encoding="utf-8"), str(path), error)
-    except FileNotFoundError:
-        raise error(f"{path}: no such file") from None
-    except UnicodeDecodeError as fault:
-        raise error(f"{path}: not YAML: {fault}") from None
-    if not isinstance(content, dict):
-        raise error(f"{path}: found {describe(content)}; allowed: a mapping of keys to values")
-    parent = content.pop("extends", None)
-    if parent is None:
-        return content
-    if not isinstance(parent, str):
-        raise error(f"{path}.extends: found {describe(parent)}; allowed: the name of a file")
-    extended = path.parent / parent
-    if library is not None and not extended.exists() and set(Path(parent).parts[:-1]) <= {".."}:
-        shared = library / Path(parent).name
-        extended = shared if shared.is_file() else extended
-    if not extended.exists():
-        raise error(f"{path}.extends: found {parent!r}; no such file beside it or packaged")
-    below = read_mapping(extended, error, library, (*above, path.resolve()))
-    return merged(below, content)
 
 
 def merged(below: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

@@ -206,11 +206,6 @@ class Column:
         """True if a row is a position [m] and a rotation vector [rad]."""
         return self.shape == (6,) and self.units == _POSE_UNITS
 
-    @property
-    def row_bytes(self) -> int:
-        """Size of one decoded row [bytes]."""
-        return math.prod(self.shape) * np.dtype(self.dtype).itemsize
-
 
 # Columns of `frames` and `reference` that are no stream's, or the first of a kind's.
 _OF_FRAMES = {"t_ns", "run", "is_duplicate", "image_age", "target", "phase", "depth", "skew"}
@@ -356,17 +351,11 @@ def camera_spec(
     numbered: bool = False,
     **attrs: Any,
 ) -> StreamSpec:
-    """Return a stream of images.
+    """Return a stream of images (height, width, 3) uint8 at a nominal rate.
 
-    Args:
-        rate_hz: Nominal frame rate.
-        name: Name of the stream.
-        height: Rows of an image [px].
-        width: Columns of an image [px].
-        codec: `jpeg` keeps the camera's own bytes, `zstd` stores decoded images losslessly.
-        numbered: True if the driver numbers the frames, which adds the column `seq`.
-        attrs: Stored with the stream; docs/reference/data-format.md lists those that alignment
-            reads.
+    The codec `jpeg` keeps the camera's own bytes, `zstd` stores decoded images losslessly. Frames
+    that are `numbered` by the driver have a column `seq`. `docs/reference/data-format.md` lists the
+    attributes that alignment reads.
     """
     value = Column(
         "value",

@@ -7,16 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.archive.format import (
-    COLUMNS,
-    COMPLETE,
-    SIMULATED,
-    ArchiveArray,
-    Limits,
-    allowed,
-    misplaced,
-    read_archive_attrs,
-)
+from recorder.archive import format as archive_format
 from recorder.archive.reader import ArchivedSensor
 from recorder.archive.writer import Ledger
 from recorder.errors import SessionError
@@ -84,8 +75,8 @@ def check_archive(files: Files, path: Path) -> Iterator[Finding]:
     Raises:
         SessionError: Not an archive.
     """
-    attrs = read_archive_attrs(path, files)
-    if attrs["status"] != COMPLETE:
+    attrs = archive_format.read_archive_attrs(path, files)
+    if attrs["status"] != archive_format.COMPLETE:
         yield Finding("unfinished", ".", _progress(files, path, attrs["sensors"]))
         return
     left = [file for file in files.listed(path) if file.suffix in (".tmp", ".npz")]
@@ -143,18 +134,20 @@ def _prescribed(sensor: ArchivedSensor, name: str, stored: Kind) -> Kind:
         return ("float16", sensor.lattice.shape, "px")
     if name == "sources":
         return ("uint8", stored[1], "1")
-    column = {**COLUMNS, **SIMULATED}[name.removeprefix("table/")]
+    column = {**archive_format.COLUMNS, **archive_format.SIMULATED}[name.removeprefix("table/")]
     return (column.dtype, column.shape, column.units)
 
 
-def _layouts(sensor: ArchivedSensor) -> dict[str, ArchiveArray]:
+def _layouts(sensor: ArchivedSensor) -> dict[str, archive_format.ArchiveArray]:
     names = [sensor.representation.array, "references", "sources"]
     columns = {group.name for group in sensor.files.groups(sensor.path / "table")}
-    simulated = [name for name in SIMULATED if name in columns]
-    names += [f"table/{name}" for name in (*COLUMNS, *simulated)]
+    simulated = [name for name in archive_format.SIMULATED if name in columns]
+    names += [f"table/{name}" for name in (*archive_format.COLUMNS, *simulated)]
     if sensor.keeps_displacement:
         names.insert(1, "displacement")
-    return {name: ArchiveArray.load(sensor.path / name, sensor.files) for name in names}
+    return {
+        name: archive_format.ArchiveArray.load(sensor.path / name, sensor.files) for name in names
+    }
 
 
 def _check_chunks(sensor: ArchivedSensor) -> Iterator[Finding]:
@@ -175,13 +168,14 @@ def _check_chunks(sensor: ArchivedSensor) -> Iterator[Finding]:
 
 
 def _check_content(sensor: ArchivedSensor, indenters: int) -> Iterator[Finding]:
-    limits = Limits(indenters, len(sensor.reference_frames), len(sensor.sources))
-    for name in COLUMNS:
+    limits = archive_format.Limits(indenters, len(sensor.reference_frames), len(sensor.sources))
+    for name in archive_format.COLUMNS:
         values = sensor.table[name]
-        rows = np.flatnonzero(misplaced(name, values, limits))
+        rows = np.flatnonzero(archive_format.misplaced(name, values, limits))
         if rows.size:
             code = "nan" if values.dtype.kind == "f" else "bad-code"
-            message = f"{_some(rows)}: found {values[rows[0]]}; allowed: {allowed(name, limits)}"
+            allowed = archive_format.allowed(name, limits)
+            message = f"{_some(rows)}: found {values[rows[0]]}; allowed: {allowed}"
             yield Finding(code, f"{sensor.name}/table/{name}", message)
     fields = sensor.fields
     if fields is None or not sensor.keeps_displacement:

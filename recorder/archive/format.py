@@ -20,7 +20,7 @@ from recorder.markers import PACKED, SMALLEST_PX, Lattice
 from recorder.settings import differing_keys
 from recorder.spec import ARCHIVE_FORMAT, PHASES
 from recorder.store.documents import read_attrs, read_document, write_group
-from recorder.store.files import LOCAL, Files, replace_file, sync_directory
+from recorder.store.files import CREATING, LOCAL, Files, replace_file, sync_directory
 from recorder.store.layout import Array, ArrayLayout, packed_index
 
 FORMAT_VERSION = 1
@@ -29,7 +29,6 @@ WRITING, COMPLETE = "writing", "complete"
 # Folder of the finished units in the array of the frames, which Zarr readers do not list.
 LEDGER = "ledger"
 
-_CREATING = ".creating"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 _ARCHIVE_KEYS = ("format", "format_version", "status", "sensors", "indenters")
 _SENSOR_KEYS = ("mm_per_px", "marker_check", "displacement_of", "representation")
@@ -504,7 +503,7 @@ def begin(path: Path, plan: ArchivePlan) -> None:
 
     A new archive is created atomically, with status `writing`, by one process at a time.
     """
-    building = path.with_name(path.name + _CREATING)
+    building = path.with_name(path.name + CREATING)
     shutil.rmtree(building, ignore_errors=True)
     try:
         _build(building, plan)

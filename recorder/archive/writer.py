@@ -18,22 +18,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.archive.format import (
-    COLUMNS,
-    COMPLETE,
-    LEDGER,
-    SIMULATED,
-    SOURCE,
-    ArchivePlan,
-    Limits,
-    SensorPlan,
-    begin,
-    checked_columns,
-    column_array,
-    read_archive_attrs,
-    read_sensor,
-    write_table,
-)
+from recorder.archive import format as archive_format
 from recorder.archive.reader import ArchivedSensor, Simulated
 from recorder.errors import SessionError
 from recorder.store.documents import merge_attrs
@@ -53,7 +38,7 @@ class Ledger:
     """Ledger of one sensor."""
 
     def __init__(self, frames: Path) -> None:
-        self.path = frames / LEDGER
+        self.path = frames / archive_format.LEDGER
 
     def done(self) -> set[int]:
         """Return the numbers of the finished units; none once the archive is complete."""
@@ -73,7 +58,7 @@ class Ledger:
         source = np.array([numbers[line] for line in lines], "<i4")
         data = io.BytesIO()
         text = np.frombuffer("\n".join(different).encode(), np.uint8)
-        arrays: dict[str, Any] = {**columns, SOURCE: source, _LINES: text}
+        arrays: dict[str, Any] = {**columns, archive_format.SOURCE: source, _LINES: text}
         np.savez(data, **arrays)
         replace_file(self._entry(unit), data.getvalue(), several=True)
 
@@ -103,26 +88,28 @@ class ArchiveWriter:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         """Open an archive that `begin` created."""
         self.path = Path(path)
-        attrs = read_archive_attrs(self.path)
+        attrs = archive_format.read_archive_attrs(self.path)
         self.sensors: Mapping[str, SensorWriter] = {
             name: SensorWriter(self, name, len(attrs["indenters"])) for name in attrs["sensors"]
         }
         self._indenters: list[str] = attrs["indenters"]
 
     @classmethod
-    def begin(cls, path: str | os.PathLike[str], plan: ArchivePlan) -> Self:
+    def begin(cls, path: str | os.PathLike[str], plan: archive_format.ArchivePlan) -> Self:
         """Create the archive of a plan, or continue the one that the same plan began.
 
         Raises:
             SessionError: `path` is something else, or the plan has values that JSON cannot hold.
         """
-        begin(Path(path), plan)
+        archive_format.begin(Path(path), plan)
         return cls(path)
 
     @property
     def complete(self) -> bool:
         """True if nothing remains to be done."""
-        return bool(read_archive_attrs(self.path)["status"] == COMPLETE)
+        return bool(
+            archive_format.read_archive_attrs(self.path)["status"] == archive_format.COMPLETE
+        )
 
     def missing(self) -> dict[str, list[int]]:
         """Return the units of each sensor that remain to be written; empty if complete."""
@@ -147,7 +134,7 @@ class ArchiveWriter:
         if not self.complete:
             for sensor in self.sensors.values():
                 sensor.write_table(self._indenters)
-            merge_attrs(self.path, {"status": COMPLETE})
+            merge_attrs(self.path, {"status": archive_format.COMPLETE})
         for sensor in self.sensors.values():
             sensor.ledger.remove()
         for left in self.path.rglob(f"*{TEMPORARY}"):
@@ -160,13 +147,13 @@ class SensorWriter:
     def __init__(self, archive: ArchiveWriter, name: str, indenters: int) -> None:
         self.path = archive.path / name
         self._archive = archive
-        stored = read_sensor(self.path)
+        stored = archive_format.read_sensor(self.path)
         self._frames = stored.frames
         self.ledger = Ledger(self._frames.path)
         self._layouts = {self._frames.path.name: self._frames}
         if stored.displacement is not None:
             self._layouts["displacement"] = stored.displacement
-        self._limits = Limits(indenters, stored.references.shape[0])
+        self._limits = archive_format.Limits(indenters, stored.references.shape[0])
 
     @property
     def rows(self) -> int:
@@ -209,7 +196,7 @@ class SensorWriter:
         rows = self.rows_of(unit)
         count = rows.stop - rows.start
         unit_name = f"{self.path} unit {unit}"
-        columns = checked_columns(table, count, self._limits, unit_name)
+        columns = archive_format.checked_columns(table, count, self._limits, unit_name)
         _check_lines(source, count, unit_name)
         large: dict[str, Array] = {self._frames.path.name: packed}
         if displacement is not None:
@@ -238,14 +225,14 @@ class SensorWriter:
         sources = []
         for columns, own in entries:
             rows = [lines.setdefault(line, len(lines)) for line in own]
-            sources.append(np.array(rows, "<i4")[columns[SOURCE]])
+            sources.append(np.array(rows, "<i4")[columns[archive_format.SOURCE]])
         table = {
             name: np.concatenate([columns[name] for columns, _ in entries])
-            for name in COLUMNS
-            if name != SOURCE
+            for name in archive_format.COLUMNS
+            if name != archive_format.SOURCE
         }
-        table[SOURCE] = np.concatenate(sources)
-        write_table(self.path, self.rows, table, indenters, list(lines))
+        table[archive_format.SOURCE] = np.concatenate(sources)
+        archive_format.write_table(self.path, self.rows, table, indenters, list(lines))
 
 
 def write_simulated(sensor: ArchivedSensor, force: Array, spread: Array, made_from: str) -> None:
@@ -258,8 +245,10 @@ def write_simulated(sensor: ArchivedSensor, force: Array, spread: Array, made_fr
         SessionError: The archive is not complete, or the shapes do not fit its frames.
     """
     rows = len(sensor.table["valid"])
-    for name, values in zip(SIMULATED, (force, spread), strict=True):
-        array = column_array(sensor.path / "table" / name, rows, attrs={"made_from": made_from})
+    for name, values in zip(archive_format.SIMULATED, (force, spread), strict=True):
+        array = archive_format.column_array(
+            sensor.path / "table" / name, rows, attrs={"made_from": made_from}
+        )
         array.write_whole(np.asarray(values, "<f8"))
     sync_directory(sensor.path / "table")
 
@@ -299,7 +288,7 @@ class SensorFrames(Protocol):
     """A sensor whose frames can be made repeatedly, with the same result each time."""
 
     @property
-    def plan(self) -> SensorPlan:
+    def plan(self) -> archive_format.SensorPlan:
         """Plan of its part of the archive."""
 
     def read(self, rows: slice) -> Frames:
@@ -323,7 +312,9 @@ def fill_archive(
     are forces of twins by sensor, added last. `progress` is called with the number of frames that
     exist and the total.
     """
-    plan = ArchivePlan(tuple(sensor.plan for sensor in sensors), tuple(indenters), attrs)
+    plan = archive_format.ArchivePlan(
+        tuple(sensor.plan for sensor in sensors), tuple(indenters), attrs
+    )
     writer = ArchiveWriter.begin(path, plan)
     missing = writer.missing()
     total = sum(one.rows for one in plan.sensors)

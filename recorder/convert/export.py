@@ -3,9 +3,7 @@
 import errno
 import os
 import re
-import shutil
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -17,7 +15,7 @@ from recorder.progress import ReportItems
 from recorder.session.reader import Session
 from recorder.spec import ARCHIVE_FORMAT
 from recorder.store.documents import says_it_is
-from recorder.store.files import locate, sync_directory
+from recorder.store.files import building, locate
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,33 +28,8 @@ class Options:
     """lerobot, genforce: leave out rows that have no sample near enough."""
 
 
-# Output of an export: built under a temporary name, renamed when complete; safe file names.
-
-# Suffix of an export that is being built and not yet valid.
-CREATING = ".creating"
+# Longest name of a file.
 _LONGEST = 80
-
-
-@contextmanager
-def building(destination: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield the path to build at; on exit, rename it to its destination, or remove it on error.
-
-    An interruption counts as an error, so the export is either complete or absent.
-    """
-    final = Path(destination)
-    if final.exists() or final.is_symlink():
-        raise SessionError(f"{final}: exists already")
-    if not final.parent.is_dir():
-        raise SessionError(f"{final.parent}: no such directory")
-    beside = final.with_name(final.name + CREATING)
-    _remove(beside)
-    try:
-        yield beside
-        beside.rename(final)
-        sync_directory(final.parent)
-    except BaseException:
-        _remove(beside)
-        raise
 
 
 def file_name(text: object) -> str:
@@ -66,13 +39,6 @@ def file_name(text: object) -> str:
     """
     plain = re.sub(r"[^A-Za-z0-9._-]+", "_", str(text)).lstrip(".")
     return plain[:_LONGEST] or "unnamed"
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +120,7 @@ def export(
         if error.name is None or error.name.partition(".")[0] == module.partition(".")[0]:
             raise
         raise SessionError(f"{to} needs {error.name}: pip install 'tactile-rig[export]'") from error
-    with building(destination) as beside:
+    with building(Path(destination)) as beside:
         try:
             tick = progress or (lambda done, total: None)
             return tuple(write(opened, beside, options or Options(), tick) or ())

@@ -16,29 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from recorder.convert import import_tracks, import_video
 from recorder.convert.import_numbers import numbers_of, require_size
-from recorder.convert.import_tracks import (
-    Answers,
-    As,
-    Content,
-    Film,
-    RecordedTrack,
-    Take,
-    Times,
-    kind_of_name,
-    named,
-    problems,
-    rate_of,
-    whole_ns,
-)
-from recorder.convert.import_video import (
-    JPEG,
-    Size,
-    film_of_pictures,
-    pixels_of_picture,
-    require_pixels,
-    size_of_picture,
-)
 from recorder.errors import SessionError
 from recorder.session.align import NS
 
@@ -66,7 +45,7 @@ _BEHIND, _AHEAD, _WANDER, _STEADY = 0.25, 0.02, 0.05, 1.0
 
 @dataclass(slots=True)
 class _Topic:
-    kind: As
+    kind: import_tracks.As
     t_ns: list[int] = field(default_factory=list)
     log_ns: list[int] = field(default_factory=list)
     values: list[Any] = field(default_factory=list)
@@ -75,7 +54,7 @@ class _Topic:
     unstamped: int = 0
 
 
-def read_bag(path: Path, answers: Answers) -> Take:
+def read_bag(path: Path, answers: import_tracks.Answers) -> import_tracks.Take:
     """Return the recording in a `.bag`, `.mcap` or `.db3`, or in the folder of a rosbag 2."""
     topics: dict[str, _Topic] = {}
     left_out: dict[str, str] = {}
@@ -89,7 +68,7 @@ def read_bag(path: Path, answers: Answers) -> Take:
             left_out[topic] = f"{kind_name} holds nothing that a session has a stream for"
             continue
         kind, value = sample
-        by_name = kind_of_name(topic)
+        by_name = import_tracks.kind_of_name(topic)
         kind = stated or (by_name if kind == "values" and by_name not in (None, "video") else kind)
         entry = topics.setdefault(topic, _Topic(kind))
         stamp = _stamp(message)
@@ -97,7 +76,7 @@ def read_bag(path: Path, answers: Answers) -> Take:
         entry.t_ns.append(log_ns if stamp is None else stamp)
         entry.log_ns.append(log_ns)
         if kind == "video":
-            entry.jpeg = entry.jpeg and isinstance(value, bytes) and value[:2] == JPEG
+            entry.jpeg = entry.jpeg and isinstance(value, bytes) and value[:2] == import_video.JPEG
             entry.values.append(_size(f"{path.name}:{topic}: image", value))
         else:
             entry.values.append(value)
@@ -107,16 +86,16 @@ def read_bag(path: Path, answers: Answers) -> Take:
     start = min(int(t_ns.min()) for t_ns in clocks.values())
     tracks = []
     assumed += [f"{path.name}: {topic}: {why}" for topic, why in left_out.items()]
-    with problems() as part:
+    with import_tracks.problems() as part:
         for topic, entry in sorted(topics.items(), key=lambda item: item[1].kind != "video"):
             source = f"{path.name}:{topic}"
             if entry.unstamped:
                 assumed.append(f"{source}: {entry.unstamped} messages without a stamp: log time")
             with part(source):
                 times = (clocks[topic] - start).astype(np.float64)
-                t_ns = whole_ns(times, f"{source}: message", 0)
+                t_ns = import_tracks.whole_ns(times, f"{source}: message", 0)
                 if entry.kind == "video":
-                    content: Content = _film(path, topic, source, entry, t_ns)
+                    content: import_tracks.Content = _film(path, topic, source, entry, t_ns)
                 else:
                     sizes = {np.size(value) for value in entry.values}
                     if len(sizes) > 1:
@@ -126,11 +105,15 @@ def read_bag(path: Path, answers: Answers) -> Take:
                         answers = replace(answers, units="N", torque_units="N m")
                     values = np.array(entry.values, np.float64)
                     content = numbers_of(source, values, t_ns, entry.kind, answers)
-                tracks.append(RecordedTrack("", entry.kind, content, source, path.name))
-    return Take(path.stem, named(tracks), (path,), tuple(assumed))
+                tracks.append(
+                    import_tracks.RecordedTrack("", entry.kind, content, source, path.name)
+                )
+    return import_tracks.Take(path.stem, import_tracks.named(tracks), (path,), tuple(assumed))
 
 
-def _on_one_clock(topics: dict[str, _Topic], name: str) -> tuple[dict[str, Times], list[str]]:
+def _on_one_clock(
+    topics: dict[str, _Topic], name: str
+) -> tuple[dict[str, import_tracks.Times], list[str]]:
     """Return the times of each topic's messages (n,) [ns], and messages on stamps that were moved.
 
     Stamps that leave the log are moved by how far they do, by the median of neighbours, so that
@@ -141,7 +124,7 @@ def _on_one_clock(topics: dict[str, _Topic], name: str) -> tuple[dict[str, Times
     usual = min((int(np.median(each)) for each in late.values()), key=abs)
     assumed = []
     for topic, t_ns in times.items():
-        side = min(round(_STEADY * rate_of(t_ns)), len(t_ns)) // 2
+        side = min(round(_STEADY * import_tracks.rate_of(t_ns)), len(t_ns)) // 2
         padded = np.pad(late[topic] - usual, side, mode="edge")
         windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * side + 1)
         moved = np.median(windows, axis=1).round().astype(np.int64)
@@ -156,7 +139,7 @@ def _on_one_clock(topics: dict[str, _Topic], name: str) -> tuple[dict[str, Times
     return times, assumed
 
 
-def _film(path: Path, topic: str, source: str, entry: _Topic, t_ns: Any) -> Film:
+def _film(path: Path, topic: str, source: str, entry: _Topic, t_ns: Any) -> import_tracks.Film:
     def load() -> Iterator[Any]:
         for _, _, _, message in _messages(path, topic):
             sample = _sample(message)
@@ -164,7 +147,9 @@ def _film(path: Path, topic: str, source: str, entry: _Topic, t_ns: Any) -> Film
                 yield sample[1] if entry.jpeg else _pixels(sample[1])
 
     times = "times by its own stamps"
-    return film_of_pictures(source, entry.values, t_ns, load, jpeg=entry.jpeg, times=times)
+    return import_video.film_of_pictures(
+        source, entry.values, t_ns, load, jpeg=entry.jpeg, times=times
+    )
 
 
 def _messages(path: Path, only: str | None = None) -> Iterator[tuple[str, str, int, Any]]:
@@ -229,7 +214,7 @@ def _ros(encoding: str, schema: Any) -> Callable[[bytes], Any] | None:
     return lambda data: read(data, name)
 
 
-def _sample(message: Any) -> tuple[As, Any] | None:
+def _sample(message: Any) -> tuple[import_tracks.As, Any] | None:
     """Return kind and value of a message by its fields; None if it has no stream."""
     for inner in ("wrench", "pose", "twist"):
         if hasattr(message, inner) and not hasattr(message, "force"):
@@ -287,16 +272,16 @@ def _stamp(message: Any) -> int | None:
     return None
 
 
-def _size(where: str, value: Any) -> Size:
+def _size(where: str, value: Any) -> import_video.Size:
     """Return the size of an image message, which must be one that can be read."""
     if isinstance(value, bytes):
-        return size_of_picture(where, value)
+        return import_video.size_of_picture(where, value)
     if value.encoding not in _ENCODINGS:
         raise SessionError(
             f"{where}: found encoding {value.encoding!r}; allowed: {', '.join(_ENCODINGS)}"
         )
     channels, bits, _ = _ENCODINGS[value.encoding]
-    require_pixels(where, value.height, value.width)
+    import_video.require_pixels(where, value.height, value.width)
     if len(value.data) < value.height * max(value.step, value.width * channels * bits // 8):
         raise SessionError(f"{where}: found {len(value.data)} bytes, too few for its size")
     return value.height, value.width, bits
@@ -305,7 +290,7 @@ def _size(where: str, value: Any) -> Size:
 def _pixels(value: Any) -> Any:
     """Return an image message as pixels (h, w, 3) uint8 or uint16, RGB."""
     if isinstance(value, bytes):
-        return pixels_of_picture("image", value)
+        return import_video.pixels_of_picture("image", value)
     channels, bits, order = _ENCODINGS[value.encoding]
     used = value.width * channels * bits // 8
     step = max(value.step, used)

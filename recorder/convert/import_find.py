@@ -105,18 +105,15 @@ def _leaves(paths: Sequence[Path]) -> Iterator[Path]:
     for path in paths:
         if not path.exists():
             raise SessionError(f"{path}: no such file or folder")
-        if path.is_file() or _is_whole(path):
+        within = [] if path.is_file() else [*path.iterdir()]
+        images = any(each.suffix.lower() in IMAGE_SUFFIXES for each in within)
+        if path.is_file() or images or _is_bag(path) or _is_lerobot(path):
             yield path
             continue
-        inside = [each for each in path.iterdir() if not each.name.startswith(".")]
+        inside = [each for each in within if not each.name.startswith(".")]
         if links := [each for each in inside if each.is_symlink() and each.is_dir()]:
             raise SessionError(f"{links[0]}: found a link to a folder; name that folder instead")
         yield from _leaves(naturally_sorted(inside, lambda each: each.name))
-
-
-def _is_whole(path: Path) -> bool:
-    images = any(each.suffix.lower() in IMAGE_SUFFIXES for each in path.iterdir())
-    return images or _is_bag(path) or _is_lerobot(path)
 
 
 def _is_bag(path: Path) -> bool:

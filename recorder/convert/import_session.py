@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.convert.export import building
 from recorder.convert.import_clocks import DRIFT, ClockFit, Untestable, find_clock
 from recorder.convert.import_find import find_takes
 from recorder.convert.import_presses import (
@@ -59,6 +58,7 @@ from recorder.spec import (
     signal_of,
     taxels_spec,
 )
+from recorder.store.files import building
 
 Rows = Iterator[dict[str, Any]]
 
@@ -385,8 +385,6 @@ def write_sessions(
         raise SessionError(
             f"--out: found {out} for sessions of {', '.join(by_indenter)}; allowed: a folder"
         )
-    if out.exists():
-        raise SessionError(f"{out}: exists already; choose another name")
     total = sum(len(track.content.t_ns) for draft in drafts for track in draft.take.tracks)
     rows = count(1)
 

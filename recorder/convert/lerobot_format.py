@@ -21,20 +21,9 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from PIL import Image
 
+from recorder.convert import import_tracks
 from recorder.convert.export import Options
 from recorder.convert.import_numbers import kind_of_array, numbers_of, require_size
-from recorder.convert.import_tracks import (
-    Answers,
-    As,
-    Content,
-    Film,
-    RecordedTrack,
-    Take,
-    Times,
-    named,
-    require_rate,
-    whole_ns,
-)
 from recorder.convert.import_video import film_of_files, open_film
 from recorder.convert.runs import RecordedPress, need_presses, utc_offset
 from recorder.errors import SessionError
@@ -177,9 +166,9 @@ def feature_names(session: Session) -> dict[str, str]:
 def features_of(session: Session) -> dict[str, Feature]:
     """Return the features of a session, in the order of their columns."""
     features: dict[str, Feature] = {}
-    named = feature_names(session)
-    for name in sorted(named, key=lambda name: [*_NAMES.values(), named[name]].index(named[name])):
-        features[named[name]] = _feature(session.streams[name])
+    names = feature_names(session)
+    for name in sorted(names, key=lambda name: [*_NAMES.values(), names[name]].index(names[name])):
+        features[names[name]] = _feature(session.streams[name])
     if _NAMES["pose"] in features:
         features["action"] = Feature("float32", (6,), _POSE)
     number, real = Feature("int64"), Feature("float32")
@@ -347,9 +336,9 @@ class _Dataset:
 
     def _named(self, pattern: str, file: int) -> Path:
         chunk, file_in_chunk = divmod(file, _CHUNK_FILES)
-        named = self.path / pattern.format(chunk_index=chunk, file_index=file_in_chunk)
-        named.parent.mkdir(parents=True, exist_ok=True)
-        return named
+        path = self.path / pattern.format(chunk_index=chunk, file_index=file_in_chunk)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
 
 
 # Metadata that makes pandas read the texts as the index, where LeRobot looks for them.
@@ -443,12 +432,12 @@ _FIELD = re.compile(r"\{(\w+)(?::(\d{1,2}d))?\}")
 _INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 
-def read_lerobot(path: Path, answers: Answers) -> list[Take]:
+def read_lerobot(path: Path, answers: import_tracks.Answers) -> list[import_tracks.Take]:
     """Return the episodes of a folder, each as a recording."""
     try:
         info = json.loads((path / "meta" / "info.json").read_text())
         features: dict[str, dict[str, Any]] = info["features"]
-        fps = require_rate(float(info["fps"]), f"{path.name}/meta/info.json: fps")
+        fps = import_tracks.require_rate(float(info["fps"]), f"{path.name}/meta/info.json: fps")
     except (KeyError, TypeError, ValueError) as error:
         raise SessionError(f"{path.name}/meta/info.json: no description: {error}") from error
     files = sorted((path / "data").rglob("*.parquet"))
@@ -458,7 +447,7 @@ def read_lerobot(path: Path, answers: Answers) -> list[Take]:
         about = pq.read_metadata(file)
         require_size(file, about.num_rows * about.num_columns * 8)
     table = pa.concat_tables([pq.read_table(file) for file in files])
-    kinds: dict[str, As] = {}
+    kinds: dict[str, import_tracks.As] = {}
     left_out = []
     for name, feature in features.items():
         if name in _INDICES:
@@ -479,22 +468,28 @@ def read_lerobot(path: Path, answers: Answers) -> list[Take]:
     for episode in np.unique(number).tolist():
         rows = np.flatnonzero(number == episode)
         where = f"{path.name}: episode {episode}: row"
-        times = whole_ns(1e9 * (seconds[rows] - seconds[rows[0]]), where, 0)
+        times = import_tracks.whole_ns(1e9 * (seconds[rows] - seconds[rows[0]]), where, 0)
         tracks = []
         for name, kind in kinds.items():
             source = f"{path.name}:{name}"
             if kind == "video":
-                content: Content = _film(path, info, name, table, rows, times, int(episode), fps)
+                content: import_tracks.Content = _film(
+                    path, info, name, table, rows, times, int(episode), fps
+                )
             else:
                 array = np.array(table.column(name).take(rows).to_pylist(), np.float64)
                 content = numbers_of(source, array, times, kind, answers)
-            tracks.append(RecordedTrack("", kind, content, source, path.name))
+            tracks.append(import_tracks.RecordedTrack("", kind, content, source, path.name))
         tracks.sort(key=lambda track: track.kind != "video")
-        takes.append(Take(f"episode_{episode:06d}", named(tracks), (path,), tuple(left_out)))
+        takes.append(
+            import_tracks.Take(
+                f"episode_{episode:06d}", import_tracks.named(tracks), (path,), tuple(left_out)
+            )
+        )
     return takes
 
 
-def _kind(name: str, feature: dict[str, Any]) -> As | None:
+def _kind(name: str, feature: dict[str, Any]) -> import_tracks.As | None:
     """Return the kind of a feature; None for what no model of forces is learned from."""
     if feature.get("dtype") in ("image", "video"):
         return "video"
@@ -511,10 +506,10 @@ def _film(
     name: str,
     table: Any,
     rows: NDArray[np.int64],
-    times: Times,
+    times: import_tracks.Times,
     episode: int,
     fps: float,
-) -> Film:
+) -> import_tracks.Film:
     if name in table.column_names:
         images = [entry["bytes"] for entry in table.column(name).take(rows).to_pylist()]
         if not all(isinstance(each, bytes) for each in images):

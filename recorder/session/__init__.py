@@ -6,10 +6,8 @@ from recorder.on_demand import imports_on_demand
 
 if TYPE_CHECKING:
     from recorder.session.align import EXPOSURE as EXPOSURE
-    from recorder.session.align import Window as Window
     from recorder.session.align import captured as captured
     from recorder.session.align import linear as linear
-    from recorder.session.align import quaternion as quaternion
     from recorder.session.clocks import clock_lines as clock_lines
     from recorder.session.columns import Stream as Stream
     from recorder.session.contact_frame import axes_of as axes_of

@@ -117,8 +117,6 @@ class Losses:
 
     def touch(self, start_ns: Times, end_ns: Times) -> Bools:
         """Return True where a sample was lost in the interval [start, end] (n,)."""
-        if not len(self.count):
-            return np.zeros(len(start_ns), np.bool_)
         step = (self.end_ns - self.start_ns) / (self.count + 1.0)
         first = self.start_ns + np.round(step).astype(np.int64)
         last = self.end_ns - np.round(step).astype(np.int64)

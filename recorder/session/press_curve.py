@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 from recorder.charts import BLUE, RED
 from recorder.errors import SessionError
 from recorder.plot import Curve, line_plot
-from recorder.session import align
-from recorder.session.contact_frame import in_frame, surface_heights
+from recorder.session.presses import DOWN, UP, Phase, Presses
 from recorder.session.reader import Session
-from recorder.spec import PHASES
 
 Floats = NDArray[np.float64]
 
@@ -68,28 +66,27 @@ def press_curves(session: Session) -> PressCurves:
     """
     if "contact_frame" not in session.attrs:
         raise SessionError(f"{session.path}: no contact_frame, so no depth")
-    segments = session.segments
-    surface = surface_heights(session)
-    presses: dict[int, dict[int, tuple[Floats, Floats]]] = {}
+    presses = Presses(session)
+    for kind, stream in (("force", presses.force), ("pose", presses.pose)):
+        if stream is None:
+            raise SessionError(f"{session.path}: no stream of kind {kind}, so no force over depth")
+    parts: dict[int, dict[int, tuple[Floats, Floats]]] = {}
     deepest = 0.0
-    for row in range(len(segments["target"])):
-        target, phase = int(segments["target"][row]), int(segments["phase"][row])
-        if phase in (PHASES.index("normal_inc"), PHASES.index("normal_dec")):
-            depth, force = _samples(session, row)
-            depth = depth + surface[target]
+    for phase in presses.phases:
+        if phase.code in (DOWN, UP):
+            depth, force = _samples(session, phase)
             if len(depth) > 1:
-                presses.setdefault(target, {})[phase] = (depth, force)
+                parts.setdefault(phase.target, {})[phase.code] = (depth, force)
                 deepest = max(deepest, float(depth.max()))
-    whole = sorted(target for target, parts in presses.items() if len(parts) == 2)
+    whole = sorted(target for target, ways in parts.items() if len(ways) == 2)
     if not whole or deepest <= 0:
         raise SessionError(f"{session.path}: no target was pressed and released")
     grid = np.linspace(0.0, deepest, _STEPS)
-    down, up = (PHASES.index(name) for name in ("normal_inc", "normal_dec"))
     return PressCurves(
         grid,
         np.array(whole, np.int64),
-        np.array([_at(grid, *presses[target][down]) for target in whole]),
-        np.array([_at(grid, *presses[target][up]) for target in whole]),
+        np.array([_at(grid, *parts[target][DOWN]) for target in whole]),
+        np.array([_at(grid, *parts[target][UP]) for target in whole]),
     )
 
 
@@ -106,30 +103,13 @@ def save_curves(curves: PressCurves, path: Path, title: str) -> None:
     picture.save(path)
 
 
-def _samples(session: Session, row: int) -> tuple[Floats, Floats]:
-    """Return depth (n,) [m] and compression (n,) [N] during one segment."""
-    segments = session.segments
-    run = int(segments["run"][row])
-    force, pose = (session.streams[name] for name in _force_and_pose(session))
-    rows, poses = session.rows_of_run(force.name, run), session.rows_of_run(pose.name, run)
-    times = force.t_ns[rows]
-    inside = (times >= segments["start_ns"][row]) & (times < segments["end_ns"][row])
-    value = np.asarray(force.array("value"))[rows][inside, 2]
-    reference = np.flatnonzero(np.asarray(session.reference["run"]) == run)
+def _samples(session: Session, phase: Phase) -> tuple[Floats, Floats]:
+    """Return depth (n,) [m] and compression (n,) [N] during one phase."""
+    reference = np.flatnonzero(np.asarray(session.reference["run"]) == phase.run)
     zero = float(session.reference["wrench"][reference[0]][2]) if reference.size else 0.0
-    frame = np.asarray(session.attrs["contact_frame"], np.float64)
-    height = in_frame(frame, np.asarray(pose.array("value"))[poses])[:, 2]
-    depth = -align.linear(pose.t_ns[poses], height, times[inside]).value
+    depth = phase.depth
     finite = np.isfinite(depth)
-    return depth[finite], -(value[finite] - zero)
-
-
-def _force_and_pose(session: Session) -> tuple[str, str]:
-    force, pose = session.first("force"), session.first("pose")
-    if force is None or pose is None:
-        what = "force" if force is None else "pose"
-        raise SessionError(f"{session.path}: no stream of kind {what}, so no force over depth")
-    return force, pose
+    return depth[finite], zero - phase.stored[finite, 2]
 
 
 def _at(grid: Floats, depth: Floats, force: Floats) -> Floats:

@@ -76,18 +76,10 @@ class RunStreams:
         return replace(part, rows=part.rows + first)
 
 
-def sources_of_run(run: RunStreams) -> Sources:
-    """Return the streams of a run that are aligned."""
-    sources = {
-        name: source(run.streams[name], run.rows[name], run.losses(name)) for name in run.columns
-    }
-    return Sources(sources, run.columns, None if run.signal is None else sources[run.signal])
-
-
 def sources_near(run: RunStreams, ticks: Times) -> Sources:
     """Return the streams of a run as far as they are needed to align them at ascending ticks.
 
-    The aligned values are those of `sources_of_run`.
+    The aligned values are those of `Session.sources`.
     """
     start, stop = int(ticks[0]), int(ticks[-1])
     sources: dict[str, Source] = {}
@@ -325,7 +317,11 @@ class Session:
 
     def sources(self, run: int) -> Sources:
         """Return the streams of one run, ready to be aligned."""
-        return sources_of_run(self.run_streams(run))
+        of = self.run_streams(run)
+        sources = {
+            name: source(of.streams[name], of.rows[name], of.losses(name)) for name in of.columns
+        }
+        return Sources(sources, of.columns, None if of.signal is None else sources[of.signal])
 
     def losses(self, name: str, run: int) -> Losses:
         """Return the samples that a stream lost in a run; kept in memory."""
@@ -415,8 +411,8 @@ class Session:
             SessionError: An unknown stream or method, or a corrupt stream.
         """
         ticks = ticks_before(t_ns, n, rate_hz or self.rate_hz)
-        streams = self.run_streams(self.run_at(t_ns) if run is None else run)
-        sources = sources_near(streams, ticks) if n > 0 else sources_of_run(streams)
+        of_run = self.run_at(t_ns) if run is None else run
+        sources = sources_near(self.run_streams(of_run), ticks) if n > 0 else self.sources(of_run)
         rows = align_window(ticks, sources, align)
         images = {
             name: replace(aligned, value=self._pixels(name, aligned.row))

@@ -16,36 +16,27 @@ from recorder.session.frames import resting
 from recorder.session.reader import Session
 from recorder.spec import PHASES
 
-_COLUMNS = 6
+# Frames on a sheet at most, and in a row.
+PICTURES, _COLUMNS = 12, 6
 _THUMB = (248, 186)
 _SMOOTH = 3  # supersampling factor, since Pillow does not anti-alias discs
 
 
-def contact_sheet(
-    session_path: str | os.PathLike[str], png_path: str | os.PathLike[str], *, count: int = 12
-) -> None:
-    """Draw a session as a PNG: evenly spaced frames, then force and depth over time.
-
-    Args:
-        session_path: A finished session.
-        png_path: Output file.
-        count: Number of frames to show.
+def contact_sheet(session_path: str | os.PathLike[str], png_path: str | os.PathLike[str]) -> None:
+    """Draw a finished session as a PNG: evenly spaced frames, then force and depth over time.
 
     Raises:
-        SessionError: The session has no frames, or `count` is less than 1.
+        SessionError: The session has no frames.
     """
     session = Session(session_path)
     frames = session.frames
     if "t_ns" not in frames or not len(frames["t_ns"]):
         raise SessionError(f"{session.name}: has no frames to show")
-    if count < 1:
-        raise SessionError(f"found count {count}, expected at least 1")
     candidates = np.flatnonzero(frames["valid"])
     if not candidates.size:
         candidates = np.arange(len(frames["t_ns"]))
-    chosen = candidates[
-        np.linspace(0, candidates.size - 1, min(count, candidates.size)).astype(int)
-    ]
+    count = min(PICTURES, candidates.size)
+    chosen = candidates[np.linspace(0, candidates.size - 1, count).astype(int)]
     tiles = [
         Tile(np.asarray(picture), _captions(number, session, int(frame)))
         for number, (frame, picture) in enumerate(

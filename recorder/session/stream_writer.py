@@ -470,8 +470,7 @@ class StreamWriter:
         shard = None if self._image is None else self._image.take_full()
         if shard is not None:
             self._full_shards.append((shard, self._journal))
-        full = self._journal.full
-        if full:
+        if self._journal.full:
             if self._spares:
                 self._spares[0].restart(self.rows)
                 following = self._spares.popleft()

@@ -2,39 +2,21 @@
 
 import json
 import os
-import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
+from recorder import spec
 from recorder.errors import SessionError
 from recorder.session.clocks import fit_clocks
 from recorder.session.frames import write_frames
 from recorder.session.stream_writer import StreamWriter, recover_streams, survey
-from recorder.spec import (
-    FORMAT,
-    FORMAT_VERSION,
-    SEGMENTS,
-    STATUSES,
-    TARGET_UNITS,
-    StreamSpec,
-    check_streams,
-    reference_spec,
-)
-from recorder.store.documents import (
-    check_session_attrs,
-    json_bytes,
-    merge_attrs,
-    read_session_attrs,
-    write_group,
-)
-from recorder.store.files import sync_directory, sync_tree
+from recorder.store import documents
+from recorder.store.files import building, sync_tree
 from recorder.store.layout import StreamLayout, create_stream, write_table
 from recorder.store.manifest import hold, remove_unfinished, seal
-
-_CREATING = ".creating"
 
 
 class SessionWriter:
@@ -65,7 +47,7 @@ class SessionWriter:
         path: str | os.PathLike[str],
         *,
         attrs: dict[str, Any],
-        streams: Sequence[StreamSpec],
+        streams: Sequence[spec.StreamSpec],
         targets: Mapping[str, np.ndarray[Any, Any]],
     ) -> Self:
         """Create a session with empty streams, status `recording`.
@@ -84,15 +66,11 @@ class SessionWriter:
             raise SessionError(f"{str(final)!r}: allowed as a name: printable characters alone")
         if final.exists():
             raise SessionError(f"{final}: exists already; resume it or choose another name")
-        building = final.with_name(final.name + _CREATING)
-        shutil.rmtree(building, ignore_errors=True)
-        try:
-            _build(building, attrs, streams, targets)
-        except BaseException:
-            shutil.rmtree(building, ignore_errors=True)
-            raise
-        building.rename(final)
-        sync_directory(final.parent)
+        spec.check_streams(streams)
+        _check_written(attrs, final)
+        final.parent.mkdir(parents=True, exist_ok=True)
+        with building(final) as beside:
+            _build(beside, attrs, streams, targets)
         return cls(final)
 
     @classmethod
@@ -103,13 +81,13 @@ class SessionWriter:
             SessionError: Not a session, or one that is being written.
         """
         session = Path(path)
-        attrs = read_session_attrs(session)
+        attrs = documents.read_session_attrs(session)
         remove_unfinished(session)
         hold(session, attrs)
         recover_streams(session)
         if attrs["status"] == "recording":  # the run that was not closed
             seal(session)
-        merge_attrs(session, {"status": "recording", "reason": ""})
+        documents.merge_attrs(session, {"status": "recording", "reason": ""})
         return cls(session)
 
     def begin_run(self, entry: dict[str, Any]) -> None:
@@ -121,9 +99,9 @@ class SessionWriter:
         names = [*_stream_names(self.path)]
         first_row = {name: survey(StreamLayout.load(self.stream_path(name))).rows for name in names}
         first_row |= {"segments": self.segments.rows, "reference": self.reference.rows}
-        runs = read_session_attrs(self.path)["runs"]
+        runs = documents.read_session_attrs(self.path)["runs"]
         _check_written({"runs": [entry]}, self.path)
-        merge_attrs(self.path, {"runs": [*runs, {**entry, "first_row": first_row}]})
+        documents.merge_attrs(self.path, {"runs": [*runs, {**entry, "first_row": first_row}]})
 
     def end_run(self, entry: dict[str, Any]) -> None:
         """Add attributes to the entry of the last run.
@@ -131,7 +109,7 @@ class SessionWriter:
         Raises:
             SessionError: An attribute that readers would refuse.
         """
-        runs = read_session_attrs(self.path)["runs"]
+        runs = documents.read_session_attrs(self.path)["runs"]
         self.set_attrs(runs=[*runs[:-1], {**runs[-1], **entry}])
 
     def stream_path(self, name: str) -> Path:
@@ -152,7 +130,7 @@ class SessionWriter:
             SessionError: An attribute that readers would refuse.
         """
         _check_written(attrs, self.path)
-        merge_attrs(self.path, attrs)
+        documents.merge_attrs(self.path, attrs)
 
     def finish(
         self, status: str, reason: str = "", *, rate_hz: float, clocks: bool = False
@@ -171,12 +149,12 @@ class SessionWriter:
         Raises:
             SessionError: An unknown status, or a stream that is still being written.
         """
-        final = STATUSES[1:]
+        final = spec.STATUSES[1:]
         if status not in final:
             raise SessionError(f"found status {status!r}, expected one of {', '.join(final)}")
         self.close()
         recover_streams(self.path)
-        merge_attrs(self.path, {"rate_hz": float(rate_hz)})
+        documents.merge_attrs(self.path, {"rate_hz": float(rate_hz)})
         if clocks:
             fit_clocks(self.path)
         write_frames(self.path, rate_hz)
@@ -198,7 +176,7 @@ class SessionWriter:
 
 def _check_written(attrs: dict[str, Any], path: Path) -> None:
     """Reject attributes that readers would refuse."""
-    check_session_attrs(json.loads(json_bytes(path, attrs)), str(path))
+    documents.check_session_attrs(json.loads(documents.json_bytes(path, attrs)), str(path))
 
 
 def _stream_names(path: Path) -> list[str]:
@@ -209,19 +187,24 @@ def _stream_names(path: Path) -> list[str]:
 def _build(
     path: Path,
     attrs: dict[str, Any],
-    streams: Sequence[StreamSpec],
+    streams: Sequence[spec.StreamSpec],
     targets: Mapping[str, np.ndarray[Any, Any]],
 ) -> None:
-    check_streams(streams)
-    _check_written(attrs, path)
-    path.mkdir(parents=True)
-    fixed = {"format": FORMAT, "format_version": FORMAT_VERSION, "status": "recording", "runs": []}
-    write_group(path, {**attrs, **fixed}, durable=False)
+    path.mkdir()
+    fixed = {
+        "format": spec.FORMAT,
+        "format_version": spec.FORMAT_VERSION,
+        "status": "recording",
+        "runs": [],
+    }
+    documents.write_group(path, {**attrs, **fixed}, durable=False)
     (path / "streams").mkdir()
-    write_group(path / "streams", {"order": [spec.name for spec in streams]}, durable=False)
-    for spec in streams:
-        create_stream(path / "streams" / spec.name, spec)
-    create_stream(path / "segments", SEGMENTS)
-    create_stream(path / "reference", reference_spec(streams))
-    write_table(path / "targets", targets, TARGET_UNITS)
+    documents.write_group(
+        path / "streams", {"order": [stream.name for stream in streams]}, durable=False
+    )
+    for stream in streams:
+        create_stream(path / "streams" / stream.name, stream)
+    create_stream(path / "segments", spec.SEGMENTS)
+    create_stream(path / "reference", spec.reference_spec(streams))
+    write_table(path / "targets", targets, spec.TARGET_UNITS)
     sync_tree(path)

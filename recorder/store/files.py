@@ -10,6 +10,7 @@ import errno
 import hashlib
 import os
 import secrets
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,8 +19,8 @@ from typing import Any
 
 from recorder.errors import SessionError
 
-# Suffix of a file that is still being written and not yet valid.
-TEMPORARY = ".tmp"
+# Suffixes of a file and of a folder that is still being written and not yet valid.
+TEMPORARY, CREATING = ".tmp", ".creating"
 
 # Offset and length in a file [bytes].
 Range = tuple[int, int]
@@ -465,3 +466,31 @@ def replace_file(path: Path, data: bytes, *, several: bool = False) -> None:
         os.close(fd)
     temporary.replace(path)
     sync_directory(path.parent)
+
+
+@contextmanager
+def building(final: Path) -> Iterator[Path]:
+    """Yield the path to build at; on exit, rename it to `final`, or remove it on error.
+
+    An interruption counts as an error, so what is built is either complete or absent.
+    """
+    if final.exists() or final.is_symlink():
+        raise SessionError(f"{final}: exists already; choose another name")
+    if not final.parent.is_dir():
+        raise SessionError(f"{final.parent}: no such directory")
+    beside = final.with_name(final.name + CREATING)
+    _remove(beside)
+    try:
+        yield beside
+        beside.rename(final)
+        sync_directory(final.parent)
+    except BaseException:
+        _remove(beside)
+        raise
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Self
@@ -110,7 +111,7 @@ def encode_jpeg(image: Image, quality: int) -> bytes:
 def decoder(column: Column) -> Callable[[bytes], Image]:
     """Return the function that decodes an image column's chunk to pixels."""
     dtype = np.dtype(column.dtype).newbyteorder("<")
-    into = decoder_into(column.codec, column.row_bytes)
+    into = decoder_into(column.codec, math.prod(column.shape) * dtype.itemsize)
 
     def decode(data: bytes) -> Image:
         out = np.empty(column.shape, dtype)

@@ -9,7 +9,6 @@ import errno
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
 
 import google_crc32c
 
@@ -216,12 +215,6 @@ class RecordLog:
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 class Journal:

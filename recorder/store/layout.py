@@ -17,16 +17,7 @@ import numpy as np
 
 from recorder.errors import SessionError
 from recorder.spec import Column, StreamSpec
-from recorder.store import images
-from recorder.store.documents import (
-    ROWS_MAX,
-    check_rate,
-    check_stream_attrs,
-    merge_attrs,
-    read_document,
-    write_group,
-    write_json,
-)
+from recorder.store import documents, images
 from recorder.store.files import LOCAL, TEMPORARY, Files
 from recorder.store.records import CRC_BYTES, ends_with_its_crc, packed_crc
 
@@ -116,13 +107,6 @@ class ArrayLayout:
     lists_crcs: ClassVar[bool] = False
     """True if a shard lists the checksums of its chunks before its index."""
 
-    @property
-    def fill_value(self) -> Any:
-        """Value of missing data: in shards NaN if the type allows it, to be recognisable."""
-        if self.sharded and self.data_type.startswith("float"):
-            return "NaN"
-        return np.zeros((), self.dtype).item()
-
     @cached_property
     def dtype(self) -> np.dtype[Any]:
         """Little-endian numpy type."""
@@ -160,7 +144,7 @@ class ArrayLayout:
     def create(self, *, durable: bool = True) -> None:
         """Write the metadata, replacing any existing."""
         self.path.mkdir(exist_ok=True)
-        write_json(self.path / "zarr.json", self.document(), durable=durable)
+        documents.write_json(self.path / "zarr.json", self.document(), durable=durable)
 
     def document(self) -> dict[str, Any]:
         """Return the array's Zarr v3 metadata."""
@@ -178,6 +162,8 @@ class ArrayLayout:
                 "index_location": "end",
             }
             codecs = [{"name": "sharding_indexed", "configuration": sharding}]
+        # Missing data are recognisable in shards: NaN if the type allows it.
+        is_nan = self.sharded and self.data_type.startswith("float")
         grid = [self.rows_per_shard, *self.shape[1:]]
         return {
             "zarr_format": 3,
@@ -189,7 +175,7 @@ class ArrayLayout:
                 "name": "default",
                 "configuration": {"separator": self.separator},
             },
-            "fill_value": self.fill_value,
+            "fill_value": "NaN" if is_nan else np.zeros((), self.dtype).item(),
             "codecs": codecs,
             "attributes": {"units": self.units, "description": self.description, **self.attrs},
             "dimension_names": list(self.dims),
@@ -199,7 +185,7 @@ class ArrayLayout:
     @classmethod
     def load(cls, path: Path, files: Files = LOCAL) -> Self:
         """Return the layout described by an array's metadata."""
-        document = read_document(files, path / "zarr.json")
+        document = documents.read_document(files, path / "zarr.json")
         name = files.name(path)
         try:
             layout = cls._described(path, files, document)
@@ -292,13 +278,13 @@ def check_shape(shape: object, data_type: str, where: str) -> None:
         not isinstance(shape, list)
         or not shape
         or not all(type(length) is int for length in shape)
-        or not 0 <= shape[0] <= ROWS_MAX
+        or not 0 <= shape[0] <= documents.ROWS_MAX
         or not all(0 < length <= SIDE_MAX for length in shape[1:])
         or math.prod(shape[1:]) * dtype.itemsize > ROW_BYTES_MAX
     ):
         raise SessionError(
-            f"{where}: found shape {shape!r:.200}; allowed: up to {ROWS_MAX} rows, each with sides "
-            f"up to {SIDE_MAX} and {ROW_BYTES_MAX} bytes"
+            f"{where}: found shape {shape!r:.200}; allowed: up to {documents.ROWS_MAX} rows, each "
+            f"with sides up to {SIDE_MAX} and {ROW_BYTES_MAX} bytes"
         )
 
 
@@ -386,16 +372,16 @@ class ColumnLayout(ArrayLayout):
 
     def rows(self) -> int:
         """Return the declared length of the array now, as every Zarr reader sees it."""
-        document = read_document(self.files, self.path / "zarr.json")
+        document = documents.read_document(self.files, self.path / "zarr.json")
         check_shape(document.get("shape"), self.data_type, self.files.name(self.path))
         return int(document["shape"][0])
 
     def set_rows(self, rows: int) -> None:
         """Set the declared length of the array, atomically."""
-        document = read_document(LOCAL, self.path / "zarr.json")
+        document = documents.read_document(LOCAL, self.path / "zarr.json")
         if document["shape"][0] != rows:
             document["shape"][0] = rows
-            write_json(self.path / "zarr.json", document)
+            documents.write_json(self.path / "zarr.json", document)
 
 
 @dataclass(frozen=True, slots=True)
@@ -464,18 +450,18 @@ class StreamLayout:
 
     def attrs(self) -> dict[str, Any]:
         """Return the attributes of the group."""
-        document = read_document(self.time.files, self.path / "zarr.json")
+        document = documents.read_document(self.time.files, self.path / "zarr.json")
         attributes: dict[str, Any] = document.get("attributes", {})
         return attributes
 
     def set_attrs(self, **attrs: Any) -> None:
         """Merge into the attributes of the group, atomically."""
-        merge_attrs(self.path, attrs)
+        documents.merge_attrs(self.path, attrs)
 
     @classmethod
     def load(cls, path: Path, files: Files = LOCAL) -> Self:
         """Return the layout of a stream on disk."""
-        attrs = read_document(files, path / "zarr.json").get("attributes", {})
+        attrs = documents.read_document(files, path / "zarr.json").get("attributes", {})
         names = attrs.get("columns")
         if not isinstance(names, list) or not names:
             raise SessionError(f"{path}: found no attrs columns, expected a stream")
@@ -484,8 +470,8 @@ class StreamLayout:
         for name in map(str, names):
             if Path(name).name != name or name == "..":  # must not lead out of the stream
                 raise SessionError(f"{path}: found column {name!r}, expected a plain name")
-        check_rate(attrs.get("rate_hz"), files.name(path))
-        check_stream_attrs(attrs, files.name(path))
+        documents.check_rate(attrs.get("rate_hz"), files.name(path))
+        documents.check_stream_attrs(attrs, files.name(path))
         columns = [ColumnLayout.load(path / str(name), files) for name in names]
         small = tuple(column for column in columns if not column.is_image)
         images_ = [column for column in columns if column.is_image]
@@ -498,7 +484,7 @@ def create_stream(path: Path, spec: StreamSpec) -> StreamLayout:
     """Create the group and the empty arrays of a stream; the caller flushes them to the disk."""
     path.mkdir()
     attrs = {"rate_hz": spec.rate_hz, "columns": [column.name for column in spec.columns]}
-    write_group(path, {**spec.attrs, **spec.traits.to_json(), **attrs}, durable=False)
+    documents.write_group(path, {**spec.attrs, **spec.traits.to_json(), **attrs}, durable=False)
     jpegs = spec.has_jpegs
     for column in spec.columns:
         rows, chunks = spec.block, BLOCKS_PER_JPEG_SHARD if jpegs else CHUNKS_PER_SHARD
@@ -548,7 +534,7 @@ def write_table(
     if len(set(lengths.values())) > 1:
         raise SessionError(f"{path}: columns of unequal length: {lengths}")
     path.mkdir()
-    write_group(path, {**(attrs or {}), "columns": list(columns)}, durable=False)
+    documents.write_group(path, {**(attrs or {}), "columns": list(columns)}, durable=False)
     for name, values in columns.items():
         column = np.asarray(values)
         dims = ("row", *(f"dim_{axis}" for axis in range(1, column.ndim)))
@@ -576,5 +562,5 @@ def table_columns(path: Path, files: Files = LOCAL) -> tuple[str, ...]:
     """Return the names of the columns of a table, sorted; none if there is no table."""
     names = tuple(sorted(entry.name for entry in files.groups(path)))
     if names:
-        read_document(files, path / "zarr.json")
+        documents.read_document(files, path / "zarr.json")
     return names

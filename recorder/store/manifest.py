@@ -16,16 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from recorder.errors import SessionError
-from recorder.store.documents import (
-    REBUILDING,
-    ROWS_MAX,
-    check_document_size,
-    json_bytes,
-    merge_attrs,
-    read_document,
-    read_order,
-    write_group,
-)
+from recorder.store import documents
 from recorder.store.files import (
     LOCAL,
     TEMPORARY,
@@ -60,7 +51,7 @@ def read_manifest(files: Files, session: Path, run: int) -> Manifest:
     path = manifest_path(session, run)
     name = files.name(path)
     try:
-        check_document_size(files, path)
+        documents.check_document_size(files, path)
         data = files.read(path)
     except FileNotFoundError:
         raise SessionError(
@@ -72,7 +63,7 @@ def read_manifest(files: Files, session: Path, run: int) -> Manifest:
     own = hashlib.sha256(body).hexdigest()
     if not body.endswith(_END) or stated != own.encode():
         raise SessionError(f"{name}: changed after it was written")
-    attrs = read_document(files, path)["attributes"]
+    attrs = documents.read_document(files, path)["attributes"]
     try:
         manifest = Manifest(
             attrs["run"],
@@ -119,7 +110,7 @@ def reopen(session: Path, status: str, **attrs: Any) -> None:
 
     Its status is kept beside `recording`: if killed before `seal`, `recover` restores it.
     """
-    merge_attrs(session, {**attrs, "status": "recording", REBUILDING: status})
+    documents.merge_attrs(session, {**attrs, "status": "recording", documents.REBUILDING: status})
 
 
 def seal(session: Path, **attrs: Any) -> None:
@@ -129,10 +120,10 @@ def seal(session: Path, **attrs: Any) -> None:
     """
     path = session / "zarr.json"
     remove_unfinished(session)
-    document = read_document(LOCAL, path)
+    document = documents.read_document(LOCAL, path)
     document["attributes"] = {**document["attributes"], **attrs}
-    document["attributes"].pop(REBUILDING, None)
-    data = json_bytes(path, document)
+    document["attributes"].pop(documents.REBUILDING, None)
+    data = documents.json_bytes(path, document)
     write_manifest(session, run_of(document["attributes"]), data)
     replace_file(path, data)
 
@@ -146,7 +137,7 @@ def write_manifest(session: Path, run: int, root: bytes) -> None:
     earlier = [number for number in manifest_runs(session) if number < run]
     before = read_manifest(LOCAL, session, earlier[-1]) if earlier else None
     if not (session / GROUP / "zarr.json").exists():
-        write_group(session / GROUP, {})
+        documents.write_group(session / GROUP, {})
     # No power failure may take away what the manifest names.
     sync_tree(session)
     # Of shards that no later run may change, the first digest holds.
@@ -296,7 +287,7 @@ def wrong_files(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[
             if later.shards.get(key) != shard:
                 yield key, f"run {later.run} changed a full shard of run {earlier.run}"
         for name, rows in earlier.rows.items():
-            if not rows <= later.rows.get(name, -1) <= ROWS_MAX:
+            if not rows <= later.rows.get(name, -1) <= documents.ROWS_MAX:
                 yield name, f"run {later.run} removed rows of run {earlier.run}"
     if is_open:
         return
@@ -312,7 +303,7 @@ def wrong_files(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[
 def _foreign(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the streams that neither the session nor a run of it declares."""
     try:
-        own = {*read_order(session / "streams", files)}.union(
+        own = {*documents.read_order(session / "streams", files)}.union(
             *(run["first_row"] for run in attrs["runs"])
         )
     except SessionError:  # of damaged metadata, which is named elsewhere

@@ -15,9 +15,10 @@ from support.sessions import make_session, set_attrs
 
 from recorder import MarkerArchive, SessionError
 from recorder.convert import FORMATS, Options, export
-from recorder.convert.export import building, file_name
+from recorder.convert.export import file_name
 from recorder.convert.runs import parse_utc
 from recorder.progress import ReportItems
+from recorder.store.files import building
 from tactile.__main__ import main
 
 ROOT = Path(__file__).parents[2]
@@ -38,7 +39,10 @@ def test_every_format_is_written_to_its_target_alone_and_never_over_something(
     captured = capsys.readouterr()
     assert captured.out == f"{target}: written, {to}\n"
     # On a busy machine lines of progress come first.
-    assert captured.err.splitlines()[-1] == f"wrong input: {target}: exists already"
+    assert (
+        captured.err.splitlines()[-1]
+        == f"wrong input: {target}: exists already; choose another name"
+    )
     assert {*tmp_path.glob("*"), *tmp_path.glob("*/*")} == {
         path.parent,
         path,

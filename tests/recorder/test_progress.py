@@ -55,11 +55,13 @@ def test_progress_is_silent_at_first_then_a_line_every_ten_seconds(clock: Clock)
 
 def test_progress_draws_one_bar_on_a_terminal_and_wipes_it(clock: Clock) -> None:
     stream = Terminal()
-    with Progress("[loop]", stream, clock=clock, threaded=False) as progress:
+    with Progress("[loop]", stream, clock=clock) as progress:
         progress(0.0)
+        progress.look()
         assert stream.getvalue() == ""
         clock.now += 90
         progress(0.5)
+        progress.look()
     assert "━" in stream.getvalue()
     assert "[loop]  50 %, 1:30 min, 1:30 min left" in seen(stream)
     assert "\x1b[?25l" not in stream.getvalue()
@@ -105,10 +107,11 @@ def test_a_crawl_is_not_stretched_into_an_estimate(clock: Clock) -> None:
 
 
 def count(stream: io.StringIO, clock: Clock, seconds: list[float]) -> str:
-    progress = ItemProgress("frames", stream, clock=clock, threaded=False)
+    progress = ItemProgress("frames", stream, clock=clock)
     for number, now in enumerate(seconds, 1):
         clock.now = now
         progress(100 * number, 100 * len(seconds))
+        progress.look()
     return seen(stream)
 
 
@@ -130,14 +133,16 @@ def test_the_bar_of_items_stays_when_all_are_done(clock: Clock) -> None:
 
 def test_items_can_be_counted_again(clock: Clock) -> None:
     stream = io.StringIO()
-    progress = ItemProgress("frames", stream, clock=clock, threaded=False)
+    progress = ItemProgress("frames", stream, clock=clock)
     progress(0, 10)
     progress(10, 10)
     clock.now += 100
     progress(0, 10)
+    progress.look()
     assert stream.getvalue() == ""
     clock.now += 10
     progress(5, 10)
+    progress.look()
     assert stream.getvalue() == "5 of 10 frames, 2 s each, 10 s left\n"
 
 

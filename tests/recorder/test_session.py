@@ -473,7 +473,8 @@ def test_a_contact_sheet_counts_targets_from_one(
         whole(self, place, words, *fill, **style)
 
     monkeypatch.setattr(ImageDraw.ImageDraw, "text", text)
-    contact_sheet(path, tmp_path / "s.png", count=200)
+    monkeypatch.setattr("recorder.session.sheet.PICTURES", 200)
+    contact_sheet(path, tmp_path / "s.png")
     numbers = {int(words.split()[1]) for words in drawn if words.startswith("target ")}
     targets = np.asarray(Session(path).frames["target"])
     assert numbers == set((np.unique(targets[targets >= 0]) + 1).tolist())
