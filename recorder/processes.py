@@ -34,8 +34,7 @@ class Workers:
     Processes are spawned when there is work, not forked, because torch's threads, Warp and GPU
     contexts do not survive a fork. Each has as many threads as its part of the cores, unless
     `OMP_NUM_THREADS` is set. They end with this process, however it ends. Workers never see
-    Ctrl-C: an error or Ctrl-C that leaves the block stops them at once. `patient` workers do see
-    Ctrl-C, and finish their current calls before the block is left.
+    Ctrl-C: an error or Ctrl-C that leaves the block stops them at once.
     """
 
     def __init__(
@@ -43,17 +42,15 @@ class Workers:
         processes: int,
         begin: Callable[..., object] | None = None,
         *arguments: Any,
-        patient: bool = False,
         fewer: str = "fewer processes",
     ) -> None:
         """Prepare the pool; no process is started yet.
 
-        Each worker calls `begin` with `arguments` before its first call. If `patient`, calls that
-        have begun always run to their end. `fewer` is the remedy to suggest if a worker was killed
-        for lack of memory.
+        Each worker calls `begin` with `arguments` before its first call. `fewer` is the remedy to
+        suggest if a worker was killed for lack of memory.
         """
         self.processes = processes
-        self._context, self._patient, self._fewer = _Spawning(), patient, fewer
+        self._context, self._fewer = _Spawning(), fewer
         self._threads = str(max(1, cores() // processes))
         self._executor = ProcessPoolExecutor(processes, self._context, _begin, (begin, arguments))
         self.done = "0 calls"
@@ -66,10 +63,9 @@ class Workers:
         **kwargs: Parameters.kwargs,
     ) -> Future[Answer]:
         """Schedule a call on the next free process."""
-        signals = contextlib.nullcontext() if self._patient else _interrupts_blocked()
         own = "OMP_NUM_THREADS" in os.environ
         threads = {} if own else {"OMP_NUM_THREADS": self._threads}
-        with environment(**threads), signals:
+        with environment(**threads), _interrupts_blocked():
             return self._executor.submit(call, *args, **kwargs)
 
     def __enter__(self) -> Self:
@@ -79,7 +75,7 @@ class Workers:
         if isinstance(error, BrokenProcessPool):
             self._executor.shutdown(wait=True)
             raise WorkerLost(self._lost()) from error
-        if error is not None and not self._patient:
+        if error is not None:
             for worker in self._context.started:
                 worker.terminate()
         self._executor.shutdown(wait=True, cancel_futures=True)

@@ -8,7 +8,6 @@ import contextlib
 import multiprocessing
 import os
 import signal
-import time
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -51,7 +50,7 @@ def look(session: Path, pipe: Connection) -> None:
     known: set[tuple[str, str]] = set()
     phases, rest = 0, 0.0
     while not pipe.poll(max(_PERIOD, rest)):
-        began = time.process_time()
+        began = sum(os.times()[:2])
         # It may not be there yet, and a file may be exchanged while it is read: at the next look.
         with contextlib.suppress(SessionError, OSError):
             grown = Session(session)
@@ -61,7 +60,7 @@ def look(session: Path, pipe: Connection) -> None:
                     if (key := (finding.code, finding.where)) not in known:
                         known.add(key)
                         pipe.send(finding)
-        rest = _REST * (time.process_time() - began)
+        rest = _REST * (sum(os.times()[:2]) - began)
 
 
 def _has_more(session: Session, phases: int) -> bool:

@@ -24,19 +24,18 @@ def test_a_lost_process_is_told_of(end, given, message):
         workers.submit(end, given).result()
 
 
-@pytest.mark.parametrize("patient", [True, False])
-def test_patient_processes_end_what_they_are_at_when_another_call_failed(patient):
+def test_processes_are_stopped_when_another_call_failed():
     long = []
 
     def fail():
-        with Workers(2, patient=patient) as workers:
-            long.append(workers.submit(time.sleep, 1 if patient else 60))
+        with Workers(2) as workers:
+            long.append(workers.submit(time.sleep, 60))
             assert workers.submit(divmod, 7, 2).result() == (3, 1)
             workers.submit(divmod, 1, 0).result()
 
     with pytest.raises(ZeroDivisionError):
         fail()
-    assert (long[0].exception() is None) == patient
+    assert long[0].exception() is not None
 
 
 def test_every_process_begins_as_it_was_told():
