@@ -4,7 +4,11 @@ A plan determines the contents of an archive and is stored in it. Its units can 
 process, by several, or by a cluster, in any order and more than once.
 """
 
-from sim.dataset.plan import DatasetPlan, Solving, Unit, gel
-from sim.dataset.run import OpenArchive, begin, fill, reopened
-
-__all__ = ["DatasetPlan", "OpenArchive", "Solving", "Unit", "begin", "fill", "gel", "reopened"]
+from sim.dataset.plan import DatasetPlan as DatasetPlan
+from sim.dataset.plan import Solving as Solving
+from sim.dataset.plan import Unit as Unit
+from sim.dataset.plan import gel as gel
+from sim.dataset.run import OpenArchive as OpenArchive
+from sim.dataset.run import begin as begin
+from sim.dataset.run import fill as fill
+from sim.dataset.run import reopened as reopened

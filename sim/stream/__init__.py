@@ -8,7 +8,8 @@
 current pose and the one before.
 """
 
-from sim.stream.outlines import LiveMarkers, Sampler
-from sim.stream.stream import LivePress, LiveSensor, Slope
-
-__all__ = ["LiveMarkers", "LivePress", "LiveSensor", "Sampler", "Slope"]
+from sim.stream.outlines import LiveMarkers as LiveMarkers
+from sim.stream.outlines import Sampler as Sampler
+from sim.stream.stream import LivePress as LivePress
+from sim.stream.stream import LiveSensor as LiveSensor
+from sim.stream.stream import Slope as Slope

@@ -8,24 +8,16 @@ camera_fit = fitted_camera(fit, observations, name="mine")
 camera_fit.sensor  # the same with camera and layout of markers
 """
 
-from sim.twin.camera import CameraFit, HeldOut, fitted_camera, held_out_predictions
-from sim.twin.fit import Fit, fitted, misfit
-from sim.twin.markers import MarkerObservations, marker_observations
-from sim.twin.model import TrackModel
-from sim.twin.observations import PressTrack, track_of, tracks_of
-
-__all__ = [
-    "CameraFit",
-    "Fit",
-    "HeldOut",
-    "MarkerObservations",
-    "PressTrack",
-    "TrackModel",
-    "fitted",
-    "fitted_camera",
-    "held_out_predictions",
-    "marker_observations",
-    "misfit",
-    "track_of",
-    "tracks_of",
-]
+from sim.twin.camera import CameraFit as CameraFit
+from sim.twin.camera import HeldOut as HeldOut
+from sim.twin.camera import fitted_camera as fitted_camera
+from sim.twin.camera import held_out_predictions as held_out_predictions
+from sim.twin.fit import Fit as Fit
+from sim.twin.fit import fitted as fitted
+from sim.twin.fit import misfit as misfit
+from sim.twin.markers import MarkerObservations as MarkerObservations
+from sim.twin.markers import marker_observations as marker_observations
+from sim.twin.model import TrackModel as TrackModel
+from sim.twin.observations import PressTrack as PressTrack
+from sim.twin.observations import track_of as track_of
+from sim.twin.observations import tracks_of as tracks_of
