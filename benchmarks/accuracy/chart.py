@@ -28,7 +28,7 @@ class Series:
     style: str
     """Mark and line as matplotlib names them, e.g. `o-`."""
     points: Sequence[tuple[float, float]]
-    """In the order in which they are joined; x of 0 is drawn at the left edge."""
+    """In the order in which they are joined."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,6 @@ def save_chart(path: Path, title: str, panels: Sequence[Panel], x: str, y: str) 
                     up,
                     one.style,
                     color=one.colour,
-                    transform=axes.transData if any(across) else axes.get_yaxis_transform(),
                     clip_on=False,
                 )
         low, high = every[0].get_ylim()

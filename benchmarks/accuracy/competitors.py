@@ -1,12 +1,9 @@
-"""Solvers that are compared: tiers, meshes and precisions, and formulas."""
+"""Solvers that are compared: tiers, meshes and precisions."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from benchmarks.independent.formulas import cone, flat_punch, hertz
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.layer import Layer
@@ -16,9 +13,6 @@ from sim.planning import plan
 from sim.result import Outcome, Result
 from sim.scene import Scene
 from sim.tiers import simulate_many
-
-# Formulas of a half-space for the cases that have one: Hertz, and Sneddon's punch and sharp cone.
-FORMULAS = {"sphere": hertz, "punch": flat_punch, "cone": cone}
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,16 +66,3 @@ def elements_of(result: Result) -> int:
         or mesh.get("elements")
         or np.prod(result.traction.shape[1:3])
     )
-
-
-def closed_form(case: str, scene: Scene) -> NDArray[np.float64] | None:
-    """Return the force of a formula on the body (F, 3) [N], or None without a common formula."""
-    if case not in FORMULAS:
-        return None
-    values = scene.indenter.parts[0].values
-    size = math.acos(values[0]) if case == "cone" else values[2]
-    force = np.zeros((len(scene.motion), 3))
-    for frame, (_, _, z) in enumerate(scene.motion.tip):
-        depth = max(-z, 0.0)
-        force[frame, 2] = -FORMULAS[case](depth, size, scene.body.modulus, scene.body.poisson)
-    return force

@@ -10,15 +10,15 @@ from typing import Any
 
 from benchmarks.accuracy.cases import CASES, COARSER, QUICK_CASE, Case, compare, reference_of
 from benchmarks.accuracy.chart import Panel, Series, save_chart
-from benchmarks.accuracy.competitors import Competitor, closed_form, elements_of, ladders
+from benchmarks.accuracy.competitors import Competitor, elements_of, ladders
 from benchmarks.accuracy.spent import WARM, spent_by
 from benchmarks.accuracy.wording import Row, chosen, devices_of, kind_of, percent, rounded, seconds
 from benchmarks.report import Page, Run, table
-from recorder.charts import BLUE, GREEN, INK, ORANGE, PURPLE, RED, SKY, SOFT
+from recorder.charts import BLUE, GREEN, INK, ORANGE, PURPLE, RED, SKY
 from recorder.processes import cores, environment
 from sim.device import ready_device
 from sim.errors import SceneError, SimulationDiverged
-from sim.metrics import Outcome, force_errors, outcome_of
+from sim.metrics import Outcome, outcome_of
 from sim.scene import press
 
 # Assumed power law of the time of a press with fineness, used to skip slow measurements.
@@ -27,12 +27,11 @@ GROWTH = 4.0
 SECONDS_MAX = 20.0
 # Errors of the force for which the page has the shortest time, and time for which it has the error.
 GOALS, WITHIN = (0.1, 0.03, 0.01, 0.003), 1.0
-# Ladder of the closed-form solutions, which take no time; and the slowest, which on a CPU is
-# measured on the sphere alone, since the other cases would take hours.
-CLOSED_FORM, SLOWEST = "closed form", "mpm as published"
+# The slowest ladder, which on a CPU is measured on the sphere alone, since the other cases would
+# take hours.
+SLOWEST = "mpm as published"
 # Colour of each ladder; the shape of the mark gives the device.
 COLOURS = {
-    CLOSED_FORM: SOFT,
     "layer": GREEN,
     "fem": BLUE,
     "fem float64": INK,
@@ -66,7 +65,7 @@ def measure(run: Run) -> dict[str, Any]:
         for case in cases
         if device != "cpu" or ladder != SLOWEST or case.name == "sphere"
     ]
-    rows = [row for case in cases for row in _closed_form_rows(case, truths[case.name])]
+    rows: list[Row] = []
     for number, climbed in enumerate(_climbed(run, climbs, truths)):
         rows += climbed
         run.progress(0.3 + 0.7 * (number + 1) / len(climbs))
@@ -131,17 +130,6 @@ def measured(case: Case, one: Competitor, device: str, truth: Outcome | None) ->
         errors = compare(outcome_of(outcome), truth, case.scene.body)
         row |= {name: rounded(value) for name, value in errors.worst().items()}
     return row
-
-
-def _closed_form_rows(case: Case, truth: Outcome | None) -> list[Row]:
-    """Return the row of the formula, or none without a common formula or a reference."""
-    force = closed_form(case.name, case.scene)
-    if force is None or truth is None:
-        return []
-    _, fraction = force_errors(replace(truth, force=force), truth)
-    row = {"case": case.name, "ladder": CLOSED_FORM, "label": "", "fineness": 0.0, "device": "none"}
-    errors = {"force_share": float(fraction.max()), "force_last": float(fraction[-1].max())}
-    return [row | {"seconds": 0.0, "failed": 0} | errors]
 
 
 # The page
@@ -237,7 +225,7 @@ the mean square distance between points of the top, and in the image (33.9 um a 
 **Memory**: on a CPU the process with Python and libraries, on a GPU the arrays. **fem**
 adapts its mesh, **fem even** does not; **tolerance** refines until its own estimate of the error is
 met. **mpm** has two particles a cell and dimension, **as published** the lattice, contact, time
-step and mass of Tacchi and GenForce. **Closed forms**: Hertz and Sneddon on a half-space.
+step and mass of Tacchi and GenForce.
 Reference: `fem` in float64, fineness 2, tolerance 1e-5; grey: its difference from elements
 {COARSER:g} times as large."""
 
@@ -264,7 +252,7 @@ def _table(rows: Sequence[Row], case: str) -> str:
                     percent(first.get("force_share")),
                     "-" if surface is None else f"{1e6 * surface:.1f}",
                     "-" if marker is None else f"{marker:.3f}",
-                    *(["0", "-", "-", "-"] if "none" in on else cells),
+                    *cells,
                 ]
             )
     head = ["solver", "elements", "force", "surface [um]", "markers [px]"]
@@ -274,7 +262,7 @@ def _table(rows: Sequence[Row], case: str) -> str:
 def _panel(case: Case, rows: Sequence[Row], floors: dict[str, Any]) -> Panel:
     series = []
     for ladder, colour in COLOURS.items():
-        for kind, style in (("none", "<-"), ("CPU", "o-"), ("GPU", "D-")):
+        for kind, style in (("CPU", "o-"), ("GPU", "D-")):
             steps = _by_fineness(chosen(solved(rows, case.name, kind), ladder=ladder))
             points = [(row["seconds"], 100 * row["force_share"]) for row in steps]
             name = f"{ladder}, GPU" if kind == "GPU" else ladder

@@ -13,12 +13,12 @@ def devices_of(device: str) -> list[str]:
 
 
 def kind_of(device: str) -> str:
-    """Return `CPU`, `GPU`, or `none` for a formula."""
-    return {"cpu": "CPU", "none": "none"}.get(device, "GPU")
+    """Return `CPU` or `GPU`."""
+    return "CPU" if device == "cpu" else "GPU"
 
 
 def chosen(rows: Iterable[Row], kind: str = "", **values: object) -> list[Row]:
-    """Return the rows with these values, of `CPU`, `GPU` or `none` alone if one is named."""
+    """Return the rows with these values, of `CPU` or `GPU` alone if one is named."""
     return [
         row
         for row in rows

@@ -15,21 +15,17 @@ from scipy.optimize import minimize_scalar
 from support.closed_forms import (
     boussinesq,
     cerruti,
+    cone,
     confined_stress,
+    flat_punch,
     hereditary,
+    hertz,
     mindlin_displacement,
     mindlin_stick_radius,
     uniaxial_stress,
 )
 
-from benchmarks.independent.formulas import (
-    cone,
-    flat_punch,
-    hertz,
-    layer_sag,
-    oedometric_modulus,
-    reduced_modulus,
-)
+from benchmarks.independent.formulas import layer_sag, oedometric_modulus, reduced_modulus
 from benchmarks.independent.linear_layer import (
     LinearLayer,
     deficit_rule,

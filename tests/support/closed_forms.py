@@ -1,4 +1,4 @@
-"""Closed forms of point forces, rubbing spheres, rubber and memory, as oracles of the simulator.
+"""Closed forms of half-spaces, rubbing spheres, rubber and memory, as oracles of the simulator.
 
 SI units; a force that presses and a depth are positive. Displacements are in the contact frame: z
 points out of the material. E is Young's modulus, nu Poisson's ratio, G and K are shear and bulk
@@ -12,9 +12,40 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 
-from benchmarks.independent.formulas import shear_and_bulk
+from benchmarks.independent.formulas import reduced_modulus, shear_and_bulk
 
 Array = NDArray[np.float64]
+
+# Elastic half-space. Strain must be small: the contact radius small compared with the indenter's
+# radius, and (for a layer) with the thickness.
+
+
+def hertz(depth: float, radius: float, modulus: float, poisson: float) -> float:
+    """Return the force of a sphere, as a paraboloid [N]: F = 4/3 E* sqrt(R) d^1.5, or 0.
+
+    Johnson, Contact Mechanics (1985), eqs. 4.22 to 4.24; 0 without contact. Valid for contact
+    radius << R; the force of a true sphere differs by 1 % at d = 0.1 R.
+    """
+    stiffness = 4 / 3 * reduced_modulus(modulus, poisson) * math.sqrt(radius)
+    return stiffness * math.pow(max(depth, 0.0), 1.5)
+
+
+def flat_punch(depth: float, radius: float, modulus: float, poisson: float) -> float:
+    """Return the force of a flat circular punch [N]: F = 2 a E* d; 0 without contact.
+
+    Sneddon (1965); Johnson (1985), section 3.4.
+    """
+    return 2 * radius * reduced_modulus(modulus, poisson) * max(depth, 0.0)
+
+
+def cone(depth: float, half_angle: float, modulus: float, poisson: float) -> float:
+    """Return the force of a cone, `half_angle` [rad] from axis to side: F = 2/pi E* tan(angle) d^2.
+
+    Sneddon (1965), in [N]. Linear theory, for blunt cones near pi/2; 0 without contact.
+    """
+    factor = 2 / math.pi * reduced_modulus(modulus, poisson)
+    return factor * math.tan(half_angle) * max(depth, 0.0) ** 2
+
 
 # A point force acts at the origin of a half-space's surface, where the solution is singular.
 
