@@ -186,15 +186,8 @@ def summary(values: dict[str, Any]) -> str:
     return (
         "**Shortest time to an error of the force, and the solver; and the smallest error in "
         f"{WITHIN:g} s.** CPU is one core. Errors are those of the worst frame and axis."
-        f"{_unmeasured(rows)}\n\n{table(head, lines)}\n\n{' '.join(sentences)}"
+        f"\n\n{table(head, lines)}\n\n{' '.join(sentences)}"
     )
-
-
-def _unmeasured(rows: Sequence[Row]) -> str:
-    """Return which solvers were measured on a CPU alone, so that no row of a GPU can name them."""
-    on_cpu, on_gpu = ({row["ladder"] for row in chosen(rows, kind)} for kind in ("CPU", "GPU"))
-    missing = [name for name in COLOURS if name in on_cpu - on_gpu]
-    return f" Not measured on the GPU: {', '.join(missing)}." if on_gpu and missing else ""
 
 
 def section(values: dict[str, Any], page: Page) -> str:

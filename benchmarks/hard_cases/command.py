@@ -1,6 +1,7 @@
 """Hard cases for the simulator: `python -m benchmarks hard-cases`."""
 
 import argparse
+from functools import partial
 from typing import Any
 
 from benchmarks.hard_cases import mistakes, named_cases, paper_presses, variants
@@ -44,6 +45,7 @@ def _summary(values: dict[str, Any]) -> str:
     return " ".join(lines)
 
 
+CORES = "Random scenes, one core each"
 BENCHMARK = Benchmark(
     "hard-cases",
     "Hard cases",
@@ -52,11 +54,11 @@ BENCHMARK = Benchmark(
     (
         Part("cases", named_cases.measure, named_cases.section, weight=4),
         Part("mistakes", mistakes.measure, mistakes.section),
-        Part("random", judgement.measure, judgement.section, weight=40),
-        Part("cores", judgement.measure_cores, judgement.section_cores, weight=20),
+        Part("random", judgement.measure, partial(judgement.section, "Random scenes"), weight=40),
+        Part("cores", judgement.measure_cores, partial(judgement.section, CORES), weight=20),
         Part("variants", variants.measure, variants.section, weight=8),
-        Part("paper", paper_presses.measure, paper_presses.section, weight=12),
-        Part("paper-fine", paper_presses.measure_fine, paper_presses.section, weight=20),
+        Part("paper", partial(paper_presses.measure, "default"), paper_presses.section, 12),
+        Part("paper-fine", partial(paper_presses.measure, "fineness 1"), paper_presses.section, 20),
     ),
     summary=_summary,
     options=_options,

@@ -41,17 +41,8 @@ def scenes() -> dict[str, Scene]:
     }
 
 
-def measure(run: Run) -> dict[str, Any]:
-    """Solve the presses with the default elements; in a quick run one."""
-    return _measured(run, "default")
-
-
-def measure_fine(run: Run) -> dict[str, Any]:
-    """Solve the presses with finer elements."""
-    return _measured(run, "fineness 1")
-
-
-def _measured(run: Run, fineness: str) -> dict[str, Any]:
+def measure(fineness: str, run: Run) -> dict[str, Any]:
+    """Solve the presses with elements of a key of `LEAST`; in a quick run one."""
     chosen = dict(list(scenes().items())[: 1 if run.quick else None])
     numerics = Fem() if fineness == "default" else Fem(fineness=1.0)
     numerics = Fem(fineness=0.2) if run.quick else numerics

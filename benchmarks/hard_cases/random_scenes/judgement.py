@@ -213,7 +213,7 @@ def _counts(rows: Sequence[Row]) -> list[tuple[str, int, int]]:
 # The page.
 
 
-def section(rows: list[Row], _page: Page, title: str = "Random scenes") -> str:
+def section(title: str, rows: list[Row], _page: Page) -> str:
     """Return the counts by group, and the answers that are missing or wrong."""
     groups = {"all": rows} | {
         name: some for name in GROUPS if (some := [row for row in rows if name in row["groups"]])
@@ -231,11 +231,6 @@ is more than {SILENT:g} times the stated one.
 {table([*head, "time: median, longest", "stated over true error, median"], lines)}"""
     troubles = [row for row in rows if not holds(row)]
     return f"{text}\n\n{answers(troubles)}" if troubles else text
-
-
-def section_cores(rows: list[Row], page: Page) -> str:
-    """Return the same for scenes on cores."""
-    return section(rows, page, "Random scenes, one core each")
 
 
 def answers(rows: Sequence[Row]) -> str:
