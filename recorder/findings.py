@@ -61,7 +61,7 @@ NOTES: dict[str, str] = {
     "bench": "a state of bench or computer when a run began",
     "stopped": "why the recording ended early",
     "slow": "an arm that moved slower than planned, by the speed slider of its pendant",
-    "unverified": "what no known weight, shear or set-up has shown: scale, orientation, side axes",
+    "unverified": "shown by no known weight, shear or set-up: scale, orientation, side axes",
     "uncalibrated": "a signal whose latency was not measured: an interval is assumed",
     "drops-unseen": "a device without numbers and times: drops are inferred, or not seen",
     "sealed-later": "a manifest that was lost and made again: earlier changes cannot be seen",

@@ -1,12 +1,18 @@
-"""`python -m benchmarks faults`: faults of devices, kills, wrong benches, and a long collection."""
+"""`python -m benchmarks faults`: faults of devices, values and bench files, kills, endurance."""
 
-from functools import partial
+import argparse
 from typing import Any
 
-from benchmarks.faults import device_faults, endurance, kills, wrong_benches
+from benchmarks.faults import device_faults, endurance, kills, plausibility, wrong_benches
 from benchmarks.processes import add_processes
 from benchmarks.report import Benchmark, Part
+from recorder.command_line.options import add_seed
 from recorder.processes import cores
+
+
+def _options(parser: argparse.ArgumentParser) -> None:
+    add_processes(parser, default=cores())
+    add_seed(parser)
 
 
 def _summary(values: dict[str, Any]) -> str:
@@ -39,9 +45,11 @@ BENCHMARK = Benchmark(
         Part("faults", device_faults.measure, device_faults.section, weight=10.0),
         Part("kills", kills.measure, kills.section, weight=20.0),
         Part("no-gauge", wrong_benches.measure, wrong_benches.section, weight=10.0),
+        Part("healthy", plausibility.measure_healthy, plausibility.section_healthy, weight=60.0),
+        Part("edits", plausibility.measure_edits, plausibility.section_edits, weight=10.0),
         Part("endurance", endurance.measure, endurance.section, weight=30.0),
     ),
     summary=_summary,
-    options=partial(add_processes, default=cores()),
+    options=_options,
 )
 add_arguments, run = BENCHMARK.add_arguments, BENCHMARK.run

@@ -1,4 +1,4 @@
-"""Witnesses of directions: what pictures, taxels and a gauge show of the tip's way and place.
+"""Witnesses of directions: the tip's way and place, as pictures, taxels and a gauge show them.
 
 A session's `expected` states how its bench mounts them: the turn of the picture, the places of
 taxels. Without it, or without a shear, they are not verified. Vectors are complex numbers, with y

@@ -89,7 +89,7 @@ STEP, STEP_OF_PEAK, STEPPED, STEP_RATE = 0.85, 0.1, 3.0, 200.0
 # longer.
 HELD, HELD_USUAL = 0.2, 5.0
 # Force that is compared with others of its depth, and its lever with torques [N]; error of torque
-# that is none over its size; error that the contact's own place may add [m], and what it does if
+# that is none over its size; error that the contact's own place may add [m], and its effect if
 # the tip's is known; longest lever [m].
 LOADED, TWIST, PLACE, SPOT, LEVER = 0.2, 0.3, 4e-3, 1e-3, 0.6
 
@@ -396,7 +396,7 @@ def levers(presses: Presses) -> Iterator[Testimony]:
     by_target: dict[int, list[Floats]] = {}
     for one in presses.of(DOWN, ASIDE, BACK):
         some = np.hstack([one.wrench, one.tip - gauge if gauge else np.zeros((one.count, 3))])
-        square = np.square(some)  # infinite of what is too large for a number
+        square = np.square(some)  # infinite if too large for a number
         some = some[np.isfinite(square).all(axis=1) & (square[:, :3].sum(axis=1) > LOADED**2)]
         by_target.setdefault(one.target, []).append(some[:: max(1, len(some) // 50)].copy())
     found, noise = [], NOISE * presses.sigma.reshape(2, 3).max(axis=1)

@@ -237,7 +237,7 @@ def _text(path: Path, table: Table, answers: Answers) -> tuple[int, dict[str, An
 
 
 def _readers(path: Path, table: Table, names: Sequence[str]) -> Iterator[tuple[str, int, Any, str]]:
-    """Yield quantity, number of its column, the reader of a word in it and what that expects."""
+    """Yield quantity, number of its column, the reader of a word in it and its expectation."""
     swapped = str.maketrans(",.", ".,")
     for quantity, column in table.columns.items():
         places = [

@@ -145,7 +145,7 @@ class Answers:
     )
     width_unit: str | None = _answer(None, "of the width of a gripper", choices=("m", "mm"))
     columns: tuple[Any, ...] = _answer(
-        (), "what the columns of tables are (YAML)", action="append", metavar="FILE"
+        (), "mapping of the columns of tables (YAML)", action="append", metavar="FILE"
     )
     ignore: tuple[str, ...] = _answer(
         (), "leave out this CSV column", action="append", metavar="NAME"

@@ -23,7 +23,7 @@ _LATE_NS = 120_000_000
 
 
 class LiveChecks:
-    """Finds what is doubtful in a session while it is recorded."""
+    """Finds doubts of a session while it is recorded."""
 
     def __init__(self, session: Path) -> None:
         context = multiprocessing.get_context("spawn")
@@ -45,7 +45,7 @@ class LiveChecks:
 
 
 def look(session: Path, pipe: Connection) -> None:
-    """Send what is found in a session that grows, each code and place once, until the pipe ends."""
+    """Send the doubts of a session that grows, each code and place once, until the pipe ends."""
     looked: dict[str, Any] = {}
     known: set[tuple[str, str]] = set()
     phases, rest = 0, 0.0

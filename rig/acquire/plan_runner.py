@@ -46,7 +46,7 @@ class LiveLine:
     `planned` is the predicted duration of each target [s], of which this run presses those of
     `pressing`; a control press takes as long as the last. Their time changes the prediction for the
     rest, which counts like three targets; one that took much longer than the others changes it
-    little. `new` returns what is newly found doubtful.
+    little. `new` returns new doubts.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class LiveLine:
         self.tell()
 
     def tell(self) -> None:
-        """Say what is newly found doubtful."""
+        """Say new doubts."""
         for doubt in self._new():
             self.end()
             logger.warning("%s", doubt)

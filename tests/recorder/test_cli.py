@@ -40,7 +40,7 @@ def test_check_exits_with_what_it_found(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["session", "check", str(recorded)]) == 0
-    assert capsys.readouterr().out.endswith(f"{recorded}: no faults, 2 notes\n")
+    assert capsys.readouterr().out.endswith(f"{recorded}: no faults, 3 notes\n")
     path = make_session(tmp_path / "s.zarr")
     (path / "streams/force/seq/c/0").unlink()
     assert main(["session", "check", str(path)]) == 1
