@@ -1,7 +1,7 @@
 """Parts `healthy` and `edits`: short sessions of all benches, as recorded and with edited values.
 
 A session is collected on each mock bench, clean or with an effect that labs see. Its witnesses must
-be silent. Then one stream at a time is changed, written again by the recorder's writer, and checked:
+be silent. Then a stream at a time is changed, written again by the recorder's writer, and checked:
 a warning or fault that names this stream counts as noticed.
 """
 
