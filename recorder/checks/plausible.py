@@ -384,7 +384,7 @@ def shear_follows(presses: Presses) -> Iterator[Testimony]:
         over = force / normal
         gain = np.abs([way.real @ over.real, way.imag @ over.imag]) / along + 1e-3
         message = f"a shear along x has {gain[0] / gain[1]:.3g} times the side force of one along y"
-        doubt = abs(float(np.log(gain[0] / gain[1]))) / np.log(UNEVEN)
+        doubt = abs(float(np.log(gain[0] / gain[1]) / np.log(UNEVEN)))
         yield Testimony(doubt, Finding("shear-direction", where, message))
 
 
@@ -427,7 +427,7 @@ def _lever(force: Floats, torque: Floats, tip: Floats, noise: Floats) -> tuple[f
     )[0]
     left = _size(beside - matrix @ lever)
     away, higher = np.linalg.norm(lever[: 3 - known]), 1 + known * lever[2] / max(height, SPOT)
-    spot = (SPOT if known else PLACE) * pushed + noise @ (height, 1)
+    spot = (SPOT if known else PLACE) * pushed + noise @ ((height, height, 0.0), (1.0, 1.0, 1.0))
     twisted = left / (TWIST * _size(torque) + spot)
     doubts = {
         "that its force has at no place": twisted.max(),
