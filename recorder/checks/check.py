@@ -127,7 +127,7 @@ def _check(
         if "segments" not in unreadable and "frames" not in damaged_tables:
             yield from _check_frames(session)
         if not unreadable and "targets" not in damaged_tables:
-            yield from doubts(session)
+            yield from doubts(session, notes=True)
     except SessionError as error:
         yield Finding("metadata", ".", str(error))
 

@@ -42,15 +42,19 @@ def statements(
 
 
 def doubts(
-    session: Session, *, images: bool = True, looked: dict[str, Any] | None = None
+    session: Session,
+    *,
+    images: bool = True,
+    notes: bool = False,
+    looked: dict[str, Any] | None = None,
 ) -> Iterator[Finding]:
     """Yield the warnings of a session, and faults of pictures that no reader decodes.
 
-    Without `images` no picture is looked at. `looked`, given again with a session that has grown,
-    keeps what its pictures showed; without it, notes tell what the session does not show.
+    Without `images` no picture is looked at; `notes` name also what the session does not show.
+    `looked`, given again with a session that has grown, keeps what its pictures showed.
     """
     for one in statements(session, images=images, looked=looked):
-        if one.doubtful or (one.finding.level == "note" and looked is None):
+        if one.doubtful or (notes and one.finding.level == "note"):
             yield one.finding
 
 
