@@ -31,6 +31,8 @@ from rig.core.packaged import BENCHES
 Array = NDArray[Any]
 Columns = dict[str, Any]
 Rng = np.random.Generator
+# Changes columns in place, in some rows; returns the time that values are late by [s], if they are.
+Change = Callable[[Rng, Columns, slice], float | None]
 
 # Effects of labs, one a session.
 LABS = (
@@ -68,13 +70,12 @@ class Edit:
     name: str
     kind: str
     """Kind of the streams that it changes."""
-    change: Callable[[Rng, Columns, slice], None]
-    """Changes columns in place, in some rows."""
+    change: Change
     whole: bool = False
     """True if it makes sense for all rows alone."""
 
 
-def _times(factors: tuple[float, ...], *axes: int) -> Callable[[Rng, Columns, slice], None]:
+def _times(factors: tuple[float, ...], *axes: int) -> Change:
     """Multiply by one of some factors."""
 
     def change(rng: Rng, columns: Columns, rows: slice) -> None:
@@ -83,7 +84,7 @@ def _times(factors: tuple[float, ...], *axes: int) -> Callable[[Rng, Columns, sl
     return change
 
 
-def _exchanged(*pairs: tuple[int, int]) -> Callable[[Rng, Columns, slice], None]:
+def _exchanged(*pairs: tuple[int, int]) -> Change:
     def change(rng: Rng, columns: Columns, rows: slice) -> None:
         one, other = pairs[rng.integers(len(pairs))]
         columns["value"][rows, [one, other]] = columns["value"][rows, [other, one]]
@@ -91,7 +92,7 @@ def _exchanged(*pairs: tuple[int, int]) -> Callable[[Rng, Columns, slice], None]
     return change
 
 
-def _added(least: float, most: float, *axes: int) -> Callable[[Rng, Columns, slice], None]:
+def _added(least: float, most: float, *axes: int) -> Change:
     """Add a constant of some size to one axis."""
 
     def change(rng: Rng, columns: Columns, rows: slice) -> None:
@@ -110,14 +111,15 @@ def _repeated(rng: Rng, columns: Columns, rows: slice) -> None:
         columns["value"][rows] = first
 
 
-def _late(rng: Rng, columns: Columns, rows: slice) -> None:
+def _late(rng: Rng, columns: Columns, rows: slice) -> float:
     """Move values against their times by 0.15 to 0.6 s."""
     value, t_ns = columns["value"], columns["t_ns"]
     rate = len(t_ns) / (1e-9 * (t_ns[-1] - t_ns[0]))
-    columns["late"] = rng.uniform(0.15, 0.6)
-    shift = round(columns["late"] * rate) * int(rng.choice([-1, 1]))
+    late = rng.uniform(0.15, 0.6)
+    shift = round(late * rate) * int(rng.choice([-1, 1]))
     moved = np.clip(np.arange(rows.start, rows.stop) - shift, 0, len(t_ns) - 1)
     columns["value"][rows] = [value[k] for k in moved] if isinstance(value, list) else value[moved]
+    return late
 
 
 def _backward(rng: Rng, columns: Columns, rows: slice) -> None:
@@ -131,7 +133,7 @@ def _turned(rng: Rng, columns: Columns, rows: slice) -> None:
 
 def _drawn(
     draw: Callable[[Rng, Array], Array],
-) -> Callable[[Rng, Columns, slice], None]:
+) -> Change:
     """Change the pixels of pictures, each in the same way."""
 
     def change(rng: Rng, columns: Columns, rows: slice) -> None:
@@ -149,7 +151,7 @@ def _pixels(picture: Any) -> Array:
     return simplejpeg.decode_jpeg(picture) if isinstance(picture, bytes) else np.asarray(picture)
 
 
-def _about_rest(change: Callable[[Rng, Array], Array]) -> Callable[[Rng, Columns, slice], None]:
+def _about_rest(change: Callable[[Rng, Array], Array]) -> Change:
     """Change counts of taxels (n, m, 3) less those at the beginning."""
 
     def edit(rng: Rng, columns: Columns, rows: slice) -> None:
@@ -294,9 +296,9 @@ def _edited(
     length = int(min(count // 2, rng.uniform(0.7, 4.0) * rate))
     first = 0 if how == "whole" else int(rng.integers(1, count - length))
     rows = slice(first, first + length if how == "a while" else count)
-    edit.change(rng, after, rows)
+    late = edit.change(rng, after, rows)
+    least_late = 3 * latency_sigma(stream)[0] + max(1 / rate, FRAME)
     path = session.path.with_name("edited.zarr")
-    late = after.pop("late", np.inf) > 3 * latency_sigma(stream)[0] + max(1 / rate, FRAME)
     write_edited(session, name, after, path)
     found = [each for each in check(path) if each.level != "note"]
     found = [each for each in found if (each.code, each.where) not in known]
@@ -305,7 +307,7 @@ def _edited(
         "edit": f"{edit.kind}: {edit.name}",
         "session": session.path.stem,
         "rows": f"{how} {rows.start}:{rows.stop} of {count}",
-        "counts": bool(late) and counts(stream, before, after, rows),
+        "counts": (late is None or late > least_late) and counts(stream, before, after, rows),
         "noticed": any(
             f"streams/{name}" in each.where or (edit.kind == "pose" and each.code in BESIDE_ARM)
             for each in found

@@ -17,7 +17,7 @@ from recorder.session.align import NS, captured
 from recorder.session.columns import Stream
 from recorder.session.delays import beyond_noise
 from recorder.session.presses import PRESSED, Presses
-from recorder.session.small_pictures import FEWEST, reference_rows, small_size, smaller
+from recorder.session.small_pictures import FEWEST, reference_rows, rms, small_size, smaller
 
 Floats = NDArray[np.floating]
 
@@ -109,7 +109,7 @@ class Looked:
     broken: dict[int, str]
     """Rows that cannot be decoded, and why."""
     last: Floats
-    """The last two pictures."""
+    """The last pictures, grey: those of `HALT`, and two at least (m, h, w)."""
 
     @property
     def noise(self) -> float:
@@ -140,22 +140,18 @@ def _looked(stream: Stream, resting: list[int], begun: Looked | None) -> Looked:
         parts["contrast"].append(some.std(axis=(1, 2)))
         parts["level"].append(some.mean(axis=(1, 2)))
         parts["agrees"].append(_agreement(maps, references))
-        parts["moved"].append(_rms(some - reference[0]))
+        parts["moved"].append(rms(some - reference[0]))
         every = np.concatenate([before, some])
-        parts["later"].append(_rms(every[ahead:] - every[:-ahead]))
+        parts["later"].append(rms(every[ahead:] - every[:-ahead]))
         steps, some = (every[max(len(before) - near, 0) :] for near in (1, 2))
-        parts["change"].append(_rms(steps[1:] - steps[:-1]))
+        parts["change"].append(rms(steps[1:] - steps[:-1]))
         parts["flow"].append(_flow(steps))
-        parts["apart"].append(_rms(some[2:] - some[:-2]))
-        parts["odd"].append(_rms(some[1:-1] - 0.5 * (some[2:] + some[:-2])))
+        parts["apart"].append(rms(some[2:] - some[:-2]))
+        parts["odd"].append(rms(some[1:-1] - 0.5 * (some[2:] + some[:-2])))
         before = every[-ahead:]
     whole = {name: np.concatenate(part, axis=-1) for name, part in parts.items() if part}
     usual = float(np.fmax(np.median(whole["contrast"]), reference[0].std()))
     return Looked(**whole, usual=usual, broken=broken, last=before)
-
-
-def _rms(images: Floats) -> Floats:
-    return np.asarray(np.sqrt((images**2).mean(axis=(1, 2))))
 
 
 def _flow(images: Floats) -> NDArray[np.complexfloating]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from recorder.session.align import NS, captured
 from recorder.session.columns import Stream, StreamPart
 from recorder.session.presses import DEEP, DOWN, UP, Phase, Presses
-from recorder.session.small_pictures import reference_rows, small_size, smaller
+from recorder.session.small_pictures import reference_rows, rms, small_size, smaller
 
 Floats = NDArray[np.float64]
 Level = Callable[[range], Floats]
@@ -103,8 +103,9 @@ def picture_level(presses: Presses, stream: Stream, phases: Sequence[Phase]) -> 
     for one in phases:
         rows = _rows(presses, one, stream)
         if len(rows):
-            beside = smaller(stream, rows, {})[0] - reference
-            moved[rows.start : rows.stop : rows.step] = np.sqrt((beside**2).mean(axis=(1, 2)))
+            moved[rows.start : rows.stop : rows.step] = rms(
+                smaller(stream, rows, {})[0] - reference
+            )
     return beyond_noise(moved) if np.isfinite(moved).any() else None
 
 

@@ -52,6 +52,11 @@ def smaller(stream: Stream, rows: Sequence[int], broken: dict[int, str]) -> Floa
     return small
 
 
+def rms(images: Floats) -> Floats:
+    """Return the root of the mean square of each picture (n, h, w)."""
+    return np.asarray(np.sqrt((images**2).mean(axis=(1, 2))))
+
+
 def reference_rows(session: Session, name: str, point: float | None = None) -> list[int]:
     """Return rows of the pictures without contact, above all points or one."""
     column, reference = session.columns.get(name), session.reference

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from recorder.command_line.options import next_command
 from recorder.session.align import EXPOSURE, Source, Window
 from recorder.session.columns import Columns, Stream
-from recorder.session.delays import Level, force_level, picture_level, press_delays, timed_phases
+from recorder.session.delays import force_level, picture_level, press_delays, timed_phases
 from recorder.session.loss import Losses, is_regular, lateness, witnesses
 from recorder.session.presses import Phase, Presses
 from recorder.session.reader import Session
@@ -118,26 +118,25 @@ def time_sigma(
     return TimeSigma(latency, exposed, clock, queue, wander, prior, rows.start or 0)
 
 
-def _wander(presses: Presses, stream: Stream, phases: list[Phase]) -> tuple[Times, Floats]:
+def _wander(
+    presses: Presses, stream: Stream, rows: slice, phases: list[Phase]
+) -> tuple[Times, Floats]:
     """Return how far the latency is from its most likely one in a run (p,) [s], at moments [ns].
 
     Delays of presses, which tell it where no clock of a device does, are fitted by a step and by a
     ramp; the better one counts if it is beyond their scatter. The latency that is nearest to the
     stored times is taken for right.
     """
-    still = np.zeros(0, np.int64), np.zeros(0)
-    count = len(phases) // 2
-    rows = presses.session.rows_of_run(stream.name, phases[0].run) if phases else slice(0, 0)
-    clocked = stream.traits.clock == "monotonic" or "device_t" in witnesses(stream, rows)
-    if count < 2 * _SIDE or clocked:
+    still, count = (np.zeros(0, np.int64), np.zeros(0)), len(phases) // 2
+    is_gauge = stream is presses.force and bool(presses.forces)
+    is_camera = stream.traits.kind == "camera" and stream.name == presses.session.signal
+    if count < 2 * _SIDE or not (is_gauge or is_camera):
+        return still
+    if stream.traits.clock == "monotonic" or "device_t" in witnesses(stream, rows):
         return still
     kept = {int(k) for k in np.linspace(0, count - 1, min(count, _MOST)).round()}
     phases = [one for k, one in enumerate(phases) if k // 2 in kept]
-    level: Level | None = None
-    if stream.traits.kind == "force" and stream is presses.force and presses.forces:
-        level = force_level(presses)
-    elif stream.traits.kind == "camera" and stream.name == presses.session.signal:
-        level = picture_level(presses, stream, phases)
+    level = force_level(presses) if is_gauge else picture_level(presses, stream, phases)
     found = [] if level is None else press_delays(presses, stream, level, phases)
     if len(found) < 2 * _SIDE:
         return still
@@ -208,7 +207,7 @@ def sigmas_of(session: Session, run: int) -> dict[str, TimeSigma]:
     parts = {}
     for name in session.columns:
         stream, rows = session.streams[name], session.rows_of_run(name, run)
-        wander = _wander(presses, stream, phases)
+        wander = _wander(presses, stream, rows, phases)
         parts[name] = time_sigma(stream, rows, session.losses(name, run), wander)
     return parts
 

@@ -477,8 +477,9 @@ class Collector:
         except (SessionError, OSError) as error:
             logger.warning("no contact sheet: %s", error)
         try:
+            printed = {(one.code, one.where) for one in known}
             for doubt in doubts(session, images=False):
-                if (doubt.code, doubt.where) not in {(one.code, one.where) for one in known}:
+                if (doubt.code, doubt.where) not in printed:
                     print(paint(str(doubt), doubt.level))
             if known:
                 print(paint(f"warnings during the recording, above: {len(known)}", "warning"))

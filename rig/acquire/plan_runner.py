@@ -113,7 +113,8 @@ class LiveLine:
 
     def ended(self, target: Target, outcome: str) -> None:
         """Record the outcome of a target: done or limited."""
-        self._ended |= {target.index: outcome} if target.index < self.count else {}
+        if target.index < self.count:
+            self._ended[target.index] = outcome
         self.tell()
 
     def tell(self) -> None:
