@@ -145,7 +145,7 @@ LEARN = (
     Command(
         "evaluate",
         "learning.cli.evaluate",
-        "report on predictions, translations, indenters left out, a transfer",
+        "report on predictions, translations and force models",
     ),
     Command(
         "experiment",
@@ -153,9 +153,10 @@ LEARN = (
         "translate, train, compensate and evaluate all pairs of an archive",
     ),
     Command(
-        "transfer",
-        "learning.cli.transfer",
-        "train a force model of a sensor without a gauge, with error bars",
+        "force",
+        "tactile.force",
+        "make a force model of a sensor, with error bars, by the best way its data allow",
+        extra="learning,sim",
     ),
     Command(
         "calibrate-force",

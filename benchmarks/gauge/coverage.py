@@ -19,7 +19,7 @@ from learning.data.matching import SensorSelection
 from learning.experiment.settings import PRESETS, ExperimentSettings
 from learning.force.calibrate import presses_of_rows
 from learning.force.intervals import ScaleSample, measured_scale
-from learning.force.model import load_force_model
+from learning.force.loading import load_force_model
 from learning.transfer.run import TransferRequest, run_transfer
 from learning.transfer.score import NewFrames, new_frames, score_of
 from recorder import MarkerArchive

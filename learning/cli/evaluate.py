@@ -1,4 +1,4 @@
-"""`tactile evaluate`: report on predictions, translations, indenters left out, and transfers."""
+"""`tactile evaluate`: report on predictions, translations and force models."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from learning.cli.archive_join import chosen_sensors, only_sensor
-from learning.command import add_settings
 from learning.errors import LearningError
 from recorder.command_line.options import add_device, add_value, names
 from recorder.progress import ItemProgress
@@ -33,10 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Decides by what it is given. Results of `predict`: one HTML page with CSV tables. An "
         "archive and others that `translate` made of it, with results or without: translated "
         "frames are scored as well (Dice, SSIM, markers [px, mm], distances), and the scores are "
-        "kept with the results. An archive alone: each indenter is left out in turn, a force model "
-        "is trained on the others and predicts it; for shading beside a ridge regression on 11 "
-        "features of colours. A force model and an archive: its forces, and the intervals of a "
-        "model of `transfer`, are compared with labels, on indenters that it did not learn from."
+        "kept with the results. A force model and an archive: its forces, and its intervals if it "
+        "has any, are compared with labels, on indenters that it did not learn from."
     )
     add = parser.add_argument
     about = "folder of .npz results, X.markers.zarr or X.markers.zarr:SENSOR, a force model"
@@ -53,7 +50,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="features for distances: marker-grid, the folder of a marker VAE, or "
         "pt_inception-2015-12-05-6726825d.pth, for FID and KID (marker-grid)",
     )
-    add_settings(parser, "", "of the force models, or a YAML file (shading for shading, else tiny)")
     add_device(parser)
 
 
@@ -75,7 +71,10 @@ def run(options: argparse.Namespace) -> int:
         return _of_model(inputs, options)
     if inputs.translated or inputs.results is not None:
         return _of_results(inputs, options)
-    return _left_out(only_sensor("ARCHIVE", inputs.sensors), options)
+    raise LearningError(
+        "inputs: found archives alone; allowed: results, translated frames or a model as well; "
+        "`tactile force --sensor ARCHIVE --out MODEL` leaves each indenter out in turn"
+    )
 
 
 def _sorted(texts: Sequence[str]) -> Inputs:
@@ -148,27 +147,6 @@ def _score_translated(inputs: Inputs, folder: Path, options: argparse.Namespace)
                 )
             features = extractor.name.split(":")[-1].split(",")[0]
             scores.write(folder / f"{name}.{scores.translator}.{features}.npz")
-
-
-def _left_out(chosen: SensorSelection, options: argparse.Namespace) -> int:
-    """Train without each indenter in turn, and write the report of its predictions."""
-    from learning.experiment.cross_validation import folds
-    from learning.force.train import read_force_settings
-    from recorder.archive import SHADING
-
-    archive, sensor = chosen.archive, chosen.sensor
-    usual = "shading" if archive[sensor].representation == SHADING else "tiny"
-    settings = read_force_settings(options.preset or usual, options.set)
-    predictions: list[Predictions] = []
-    with ItemProgress("indenters", sys.stderr) as progress:
-        for fold in folds(archive, sensor, settings, progress):
-            print(fold, flush=True)
-            predictions += fold.predictions
-            for one in fold.predictions:
-                indenter = fold.indenter.replace("/", "_")
-                one.write(options.out / f"{sensor}.{indenter}.{one.method}.npz")
-    _report(predictions, [], options.out, f"{sensor}: indenters never seen")
-    return 0
 
 
 def _report(

@@ -24,8 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
         "Runs a force model over whole presses of a sensor and writes its forces [N] "
-        "with the labels [N], if it has any, for `evaluate`. A model of `transfer` has intervals, "
-        "which are written too."
+        "with the labels [N], if it has any, for `evaluate`. Intervals of a model "
+        "are written too."
     )
     add = parser.add_argument
     add(

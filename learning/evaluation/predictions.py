@@ -29,11 +29,10 @@ from recorder.archive import ArchivedSensor
 KIND = "predictions"
 # Training data of the model: the source's images; translated images; these with labels compensated
 # by the paper's most frequent choice; by the choice that fits the skins' force-depth curves best;
-# by twins of both sensors; by the choice that fits the target's labels best; the target's own
-# labels; and these by ridge regression on a few features instead of a network.
-BASELINE = "baseline"
+# by twins of both sensors; by the choice that fits the target's labels best; and the target's own
+# labels.
 TRANSLATED = ("transferred", "compensated", "priors", SIMULATED, "oracle")
-METHODS = ("source-only", *TRANSLATED, "target", BASELINE)
+METHODS = ("source-only", *TRANSLATED, "target")
 # Those that need no label of the target, in order of the knowledge of the skins that they use.
 LABEL_FREE = TRANSLATED[:4]
 

@@ -41,7 +41,8 @@ from learning.experiment.frames import (
 from learning.experiment.settings import ExperimentSettings
 from learning.force.batched import train_batched
 from learning.force.labels import Relabelling, by_twins, compensated
-from learning.force.model import KIND, ForceModel, load_force_model
+from learning.force.loading import load_force_model
+from learning.force.model import KIND, ForceModel
 from learning.force.train import PRESETS, ForceModelSettings, total_steps, train_force
 from learning.metrics import force_errors
 from learning.training.checkpoint import read_model_folder

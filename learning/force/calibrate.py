@@ -20,9 +20,10 @@ from learning.force.intervals import (
     fit_errors,
     fit_learned,
     shapes_of,
+    shapes_of_shading,
 )
 from learning.force.model import ForceModel
-from recorder.archive import ArchivedSensor, MarkerArchive
+from recorder.archive import SHADING, ArchivedSensor, MarkerArchive
 from recorder.markers import unpack
 from recorder.progress import ItemProgress
 
@@ -93,7 +94,7 @@ def calibrated(
     intervals = Intervals(
         axes=axes,
         scale=expected.scale,
-        largest=_largest(expected.learned),
+        largest=largest(expected.learned),
         learned=fit_learned(shapes(own, np.flatnonzero(learned & valid)), shapes(own, used)),
         frames=int(labelled.sum()),
         indenters=indenters,
@@ -139,11 +140,14 @@ def scale_of_twin(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Scale:
 
 
 def shapes(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Floats:
-    """Return the shapes of frames (n, 7), as `shapes_of` does."""
+    """Return the shapes of frames (n, 7), as `shapes_of` and `shapes_of_shading` do."""
     values = np.zeros((len(rows), SHAPE))
     references = sensor.table["reference"]
     for first in range(0, len(rows), _AT_ONCE):
         part = rows[first : first + _AT_ONCE]
+        if sensor.representation == SHADING:
+            values[first : first + len(part)] = shapes_of_shading(sensor.frames(part))
+            continue
         masks = unpack(sensor.packed(part))
         for number in np.unique(references[part]).tolist():
             own = references[part] == number
@@ -168,6 +172,7 @@ def interval_line(calibration: IntervalCalibration) -> str:
     )
 
 
-def _largest(labels: Floats) -> tuple[float | None, float | None, float | None]:
-    largest = [float(np.nanmax(np.abs(c))) if np.isfinite(c).any() else None for c in labels.T]
-    return largest[0], largest[1], largest[2]
+def largest(labels: Floats) -> tuple[float | None, float | None, float | None]:
+    """Return the largest size of Fx, Fy, Fz of labels (n, 3) [N]; None without one."""
+    x, y, z = (float(np.nanmax(np.abs(c))) if np.isfinite(c).any() else None for c in labels.T)
+    return x, y, z

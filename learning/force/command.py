@@ -62,10 +62,10 @@ def run(options: argparse.Namespace) -> int:
     from learning.data.presses import load_presses, press_table
     from learning.force.folder import model_name
     from learning.force.labels import label_source
-    from learning.force.made_for import KEY, of_archive
-    from learning.force.model import KIND, load_force_model
+    from learning.force.loading import load_force_model
+    from learning.force.made_for import metadata_of
+    from learning.force.model import KIND
     from learning.force.train import read_force_settings, train_force
-    from learning.markers.segment import kept_preset
     from learning.train_command import open_data, run_training
     from learning.translation.loading import hash_of
     from recorder.archive import SHADING, archive_fingerprint
@@ -111,20 +111,8 @@ def run(options: argparse.Namespace) -> int:
         own_twin = archive[sensors[0]] if source.own_twin else None
         return _delivered(out, archive, split, settings, model, presses, validation, own_twin)
 
-    # By these, a live stream is read as the pictures were from which the model learned.
-    preset_of = {name: str(archive[name].attrs.get("preset", "")) for name in sensors}
-    presets = {
-        name: stored for name, each in preset_of.items() if each and (stored := kept_preset(each))
-    }
-    metadata = {
-        "sensors": sensors,
-        **({"presets": presets} if presets else {}),
-        KEY: {
-            name: of_archive(archive[name], split.rows(archive[name].table, "train"))
-            for name in sensors
-        },
-        **_origin(archive[sensors[0]], source),
-    }
+    rows_of = {name: split.rows(archive[name].table, "train") for name in sensors}
+    metadata = {**metadata_of(archive, rows_of), **_origin(archive[sensors[0]], source)}
     run_training(out, KIND, settings, data, train, split=split, metadata=metadata)
     return 0
 

@@ -187,7 +187,7 @@ def read_intervals(folder: Path) -> Intervals | None:
     if header != (FORMAT, FORMAT_VERSION, COVERAGE):
         raise LearningError(
             f"{path}: found format {header}; allowed: {(FORMAT, FORMAT_VERSION, COVERAGE)}; "
-            "repeating the `tactile transfer` that made it writes it again"
+            "repeating the `tactile force` that made it writes it again"
         )
     return READER.build(Intervals, content, str(path))
 
@@ -319,8 +319,9 @@ def measured_scale(
 # Frames that a model learned from, by the shape of their markers: others far from all are flagged.
 #
 # The shape of a frame is some numbers of its markers: how far they moved, and how unevenly, and how
-# much of the image they cover, in all and by parts of it. The distance of a frame is that to the
-# nearest learned one, in units in which learned frames have unit covariance.
+# much of the image they cover, in all and by parts of it; of shading, the size of its changes. The
+# distance of a frame is that to the nearest learned one, in units in which learned frames have unit
+# covariance.
 
 # Count of numbers in a shape.
 SHAPE = 7
@@ -340,14 +341,25 @@ def fit_learned(learned: Floats, held_out: Floats) -> LearnedShapes:
     Of the shapes learned from (n, 7) 1,000 are kept. The limit is the ceil(0.99 (m + 1))-th
     smallest distance of those of indenters that were held out (m, 7), or the largest.
     """
+    return learned_within(learned, [(learned, held_out)])
+
+
+def learned_within(learned: Floats, pairs: Sequence[tuple[Floats, Floats]]) -> LearnedShapes:
+    """Return what was learned (n, 7), with a limit by pairs of learned and held-out shapes.
+
+    Each held-out shape (m, 7) is compared with those that were learned without it.
+    """
+    distances = np.sort(np.concatenate([_unlimited(own).distances(out) for own, out in pairs]))
+    rank = min(len(distances), math.ceil((1 - FLAGGED) * (len(distances) + 1)))
+    return replace(_unlimited(learned), limit=float(distances[rank - 1]))
+
+
+def _unlimited(learned: Floats) -> LearnedShapes:
     covariance = np.cov(learned.T)
     ridge = np.diag(_RIDGE * np.diag(covariance) + _LEAST)
     units = np.linalg.cholesky(np.linalg.inv(covariance + ridge))
     chosen = np.unique(np.linspace(0, len(learned) - 1, _KEPT).round().astype(int))
-    unlimited = LearnedShapes(_rows(units), _rows((learned[chosen] @ units).round(4)), math.inf)
-    distances = np.sort(unlimited.distances(held_out))
-    rank = min(len(distances), math.ceil((1 - FLAGGED) * (len(distances) + 1)))
-    return replace(unlimited, limit=float(distances[rank - 1]))
+    return LearnedShapes(_rows(units), _rows((learned[chosen] @ units).round(4)), math.inf)
 
 
 def _rows(matrix: Floats) -> tuple[tuple[float, ...], ...]:
@@ -377,6 +389,24 @@ def shapes_of(masks: NDArray[np.bool_], reference: NDArray[np.bool_]) -> Floats:
             100.0 * np.count_nonzero(mask) / mask.size,
             edge_length(mask) / mask.shape[1],
         )
+    return shapes
+
+
+def shapes_of_shading(frames: NDArray[np.uint8]) -> Floats:
+    """Return the shapes (n, 7) of frames (n, 3, 128, 128) of shading [grey levels].
+
+    By colour the spread of the change and its mean step from cell to cell (4 x 4 px); then the 99th
+    percentile of these steps.
+    """
+    shapes = np.zeros((len(frames), SHAPE))
+    for row, frame in zip(shapes, frames, strict=True):
+        side = frame.shape[-1] // 4
+        change = frame.reshape(3, side, 4, side, 4).mean(axis=(2, 4))
+        down, across = np.diff(change, axis=1)[:, :, :-1], np.diff(change, axis=2)[:, :-1]
+        steps = np.hypot(down, across).reshape(3, -1)
+        row[:3] = change.reshape(3, -1).std(axis=1)
+        row[3:6] = steps.mean(axis=1)
+        row[6] = np.percentile(steps.mean(axis=0), 99)
     return shapes
 
 

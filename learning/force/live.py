@@ -22,7 +22,13 @@ from numpy.typing import NDArray
 from learning.data.images import shrink
 from learning.errors import LearningError
 from learning.force.folder import model_name
-from learning.force.intervals import Intervals, edge_length, read_intervals, shapes_of
+from learning.force.intervals import (
+    Intervals,
+    edge_length,
+    read_intervals,
+    shapes_of,
+    shapes_of_shading,
+)
 from learning.force.made_for import Conditions, differences, made_for, other_pattern
 from learning.force.stream import ForceStream, open_exported
 from learning.markers.displacement import MAP_SIDE, FieldReader
@@ -285,9 +291,13 @@ class LivePredictor:
             predicted = np.array(forces[:1])
             low, high = self.intervals.of(predicted)
             interval = _triple(low[0]), _triple(high[0])
-            if mask.dtype == np.bool_:
-                shape = shapes_of(mask[None], self._contact.reference)
-                outside = bool(self.intervals.is_outside(predicted, shape)[0])
+            of_markers = mask.dtype == np.bool_
+            shape = (
+                shapes_of(mask[None], self._contact.reference)
+                if of_markers
+                else shapes_of_shading(mask[None])
+            )
+            outside = bool(self.intervals.is_outside(predicted, shape)[0])
         before = forces[1] if self.has_before else None
         return LiveForce(forces[0], contact, motion, interval, outside, before)
 
@@ -375,7 +385,7 @@ def _stream(name: str | os.PathLike[str], runtime: str) -> ForceStream:
     if runtime != "torch":
         return open_exported(model, runtime=runtime)
     from learning.force.export import torch_stream
-    from learning.force.model import load_force_model
+    from learning.force.loading import load_force_model
 
     return torch_stream(load_force_model(model))
 

@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,9 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learning.errors import LearningError
-from learning.markers.segment import TaxelPreset, built_preset, preset, preset_of_sensor
+from learning.markers.segment import (
+    TaxelPreset,
+    built_preset,
+    kept_preset,
+    preset,
+    preset_of_sensor,
+)
 from learning.training.checkpoint import CONFIG, read_config
-from recorder.archive import MASKS, ArchivedSensor
+from recorder.archive import MASKS, ArchivedSensor, MarkerArchive
 from recorder.markers import count_markers, unpack
 
 # Key of the metadata of a model's `config.yaml`.
@@ -52,6 +58,22 @@ def of_archive(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> dict[str, Any
         "description": str(sensor.attrs.get("description", "")),
         "markers": count_markers(unpack(sensor.references[0])) if masks else 0,
         "depth_mm": round(1e3 * float(np.nanmax(depth)), 3) if np.isfinite(depth).any() else None,
+    }
+
+
+def metadata_of(archive: MarkerArchive, rows: Mapping[str, NDArray[np.int64]]) -> dict[str, Any]:
+    """Return the metadata of a model of some sensors in an archive, by the rows that each learns.
+
+    By its presets a live stream is read as the pictures were from which the model learned.
+    """
+    preset_of = {name: str(archive[name].attrs.get("preset", "")) for name in rows}
+    presets = {
+        name: stored for name, each in preset_of.items() if each and (stored := kept_preset(each))
+    }
+    return {
+        "sensors": [*rows],
+        **({"presets": presets} if presets else {}),
+        KEY: {name: of_archive(archive[name], learned) for name, learned in rows.items()},
     }
 
 

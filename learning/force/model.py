@@ -1,14 +1,12 @@
 """The force model: encoder, convolutional GRU, residual tail, sigmoid head (the paper, Methods).
 
-`load_force_model` opens a trained one, `ForceModel.predict` returns the forces of presses.
+`learning.force.loading` opens a trained one, `ForceModel.predict` returns the forces of presses.
 """
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -20,14 +18,12 @@ from torch.nn import functional
 from learning.config import require
 from learning.data.presses import ForceRange, Presses
 from learning.errors import LearningError
-from learning.force.folder import model_folder
-from learning.plugins import load_plugin, plugin_names
-from learning.training.checkpoint import read_config, read_model_folder
+from learning.plugins import load_plugin
 from recorder.archive import SHADING, SHADING_SIDE, SHADING_ZERO
 from recorder.progress import ReportItems
 
-# Kind of a force model's folder.
-KIND = "force"
+# Kind of a force model's folder, and key of the settings of one in closed form.
+KIND, CLOSED_FORM = "force", "closed_form"
 # Number of presses predicted at once, by type of device.
 _AT_ONCE = {"cpu": 8, "cuda": 128}
 
@@ -492,34 +488,3 @@ def new_force_model(
         return ForceModel(network, inputs)
     model: ForceModel = load_plugin(plugin, ForceModel)
     return model
-
-
-def load_force_model(
-    name_or_folder: str | os.PathLike[str], device: str | torch.device = "cpu"
-) -> ForceModel:
-    """Load a trained model, in evaluation mode: ours, or one of another package.
-
-    It is the folder of a finished run, its web address, `demo`, or the name of an installed
-    package's model that needs no folder.
-
-    Raises:
-        LearningError: Not such a folder, a model of another kind, or weights that do not fit.
-    """
-    name, offered = os.fspath(name_or_folder), plugin_names()
-    if name in offered:
-        return _foreign(name, None, device)
-    folder = model_folder(name)
-    if (kind := read_config(folder).kind) != KIND and kind in offered:
-        return _foreign(kind, folder, device)
-    stored = read_model_folder(folder, KIND)
-    model = new_force_model(
-        stored.config.settings.get("plugin"),
-        stored.settings(ForceNetworkSettings, "network"),
-        stored.settings(InputSettings, "input"),
-    )
-    return stored.load(model, device)
-
-
-def _foreign(name: str, folder: Path | None, device: str | torch.device) -> ForceModel:
-    model: ForceModel = load_plugin(name, ForceModel, folder=folder, device=str(device))
-    return model.to(device).eval()

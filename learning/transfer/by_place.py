@@ -28,7 +28,8 @@ from learning.force.calibrate import (
 )
 from learning.force.intervals import Scale
 from learning.force.labels import Relabelling
-from learning.force.model import KIND, ForceModel, load_force_model
+from learning.force.loading import load_force_model
+from learning.force.model import KIND, ForceModel
 from learning.force.train import train_force
 from learning.training.run import RunFolder, session_of
 from learning.transfer.pairs import labels_by_place

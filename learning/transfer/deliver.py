@@ -16,7 +16,8 @@ from learning.errors import LearningError
 from learning.force.calibrate import IntervalCalibration
 from learning.force.export import export_onnx
 from learning.force.intervals import COVERAGE, AxisError, Intervals
-from learning.force.model import AXES, ForceModel, load_force_model
+from learning.force.loading import load_force_model
+from learning.force.model import AXES, ForceModel
 from learning.training.checkpoint import MODEL, read_model_folder, save_weights
 from recorder.charts import chart
 from recorder.pages import render
@@ -81,11 +82,17 @@ def read_card(model_folder: Path, intervals: Intervals) -> Card:
     content = read_model_folder(model_folder).config.metadata.get("transfer")
     if not isinstance(content, Mapping):
         raise LearningError(
-            f"{model_folder}: found a model without a card; allowed: RUN/model of "
-            "`tactile transfer`"
+            f"{model_folder}: found a model that learned no other sensor's labels; allowed: one of "
+            "`tactile force --source`"
         )
     texts = {key: tuple(content[key]) for key in ("seen", "history")}
     return Card(**{**content, **texts, "intervals": intervals})
+
+
+def learned_indenters(model_folder: Path) -> tuple[str, ...]:
+    """Return the indenters that a model of `tactile force` learned from."""
+    metadata = read_model_folder(model_folder).config.metadata
+    return tuple(metadata.get("transfer", metadata.get("choice", {})).get("seen", ()))
 
 
 def card_values(card: Card) -> dict[str, Any]:
@@ -154,7 +161,7 @@ def calibration_picture(calibration: IntervalCalibration) -> bytes:
             panel.set_title(AXES[axis])
             panel.set_xlabel("expected [N]")
         figure.axes[0].set_ylabel("predicted [N]")
-        figure.axes[0].legend(fontsize=6)
+        figure.axes[-1].legend(fontsize=6)
     return png.getvalue()
 
 

@@ -1,4 +1,4 @@
-"""`tactile transfer`, stage by stage: from two recordings to a model with error bars."""
+"""`tactile force --source`, stage by stage: from two recordings to a model with error bars."""
 
 import shutil
 from collections.abc import Callable, Iterator
@@ -28,7 +28,7 @@ from learning.experiment.stages import Experiment, Places, relabelling
 from learning.force.calibrate import IntervalCalibration, presses_of_rows
 from learning.force.export import export_onnx
 from learning.force.intervals import Scale
-from learning.force.model import load_force_model
+from learning.force.loading import load_force_model
 from learning.training.checkpoint import CONFIG, MODEL, read_model_folder, weights_hash
 from learning.transfer.by_place import ByPlace, forces_at
 from learning.transfer.deliver import (

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from learning.data.labels import Labels
 from learning.errors import LearningError
 from learning.force.intervals import Intervals, Scale, ScaleSample, measured_scale, read_intervals
-from learning.force.model import load_force_model
+from learning.force.loading import load_force_model
 from learning.metrics import force_errors, spread_and_range
 from learning.transfer.by_place import forces_at
 from learning.transfer.deliver import deliver, lines_of, read_card
@@ -34,13 +34,13 @@ def weigh(
 ) -> Iterator[str]:
     """Write the model with the scale that weights give, and yield what is then known of it.
 
-    Weights and the Fz predicted under each are in [N]; the model is one that `tactile transfer`
+    Weights and the Fz predicted under each are in [N]; the model is one that `tactile force`
     made.
     """
     intervals = read_intervals(model_folder)
     if intervals is None or intervals.axes[2] is None:
         raise LearningError(
-            f"{model_folder}: found no interval of Fz; allowed: RUN/model of `tactile transfer`"
+            f"{model_folder}: found no interval of Fz; allowed: a model of `tactile force`"
         )
     if len(weights) != len(predicted):
         raise LearningError(

@@ -11,7 +11,7 @@ from learning.data.matching import SensorSelection
 from learning.errors import LearningError
 from learning.force.calibrate import presses_of_rows, shapes
 from learning.force.intervals import Intervals, read_intervals
-from learning.force.model import load_force_model
+from learning.force.loading import load_force_model
 from learning.metrics import (
     AXES,
     ForceErrors,
@@ -20,7 +20,7 @@ from learning.metrics import (
     force_errors,
     spread_and_range,
 )
-from learning.transfer.deliver import read_card
+from learning.transfer.deliver import learned_indenters
 
 Floats = NDArray[np.float64]
 
@@ -87,17 +87,17 @@ def new_frames(model_folder: Path, truth: SensorSelection) -> NewFrames:
     intervals = read_intervals(model_folder)
     if intervals is None:
         raise LearningError(
-            f"{model_folder}: found no intervals; allowed: RUN/model of `tactile transfer`"
+            f"{model_folder}: found no intervals; allowed: a model of `tactile force`"
         )
-    card = read_card(model_folder, intervals)
+    seen = {*learned_indenters(model_folder), *intervals.indenters}
     sensor, model = truth.archive[truth.sensor], load_force_model(model_folder)
     names = np.array(truth.archive.indenters)[sensor.table["indenter"]]
-    new = ~np.isin(names, (*card.seen, *intervals.indenters))
+    new = ~np.isin(names, sorted(seen))
     rows = np.flatnonzero(new & sensor.table["valid"] & (sensor.table["location"] >= 0))
     if not len(rows):
         raise LearningError(
             f"{truth.archive.name}: found no frame of an indenter beside "
-            f"{', '.join((*card.seen, *intervals.indenters))}; allowed: some, to compare with"
+            f"{', '.join(sorted(seen))}; allowed: some, to compare with"
         )
     presses = presses_of_rows(sensor, rows, model)
     rows = presses.rows.numpy()

@@ -10,7 +10,8 @@ from torch import Tensor, nn
 
 from learning.errors import LearningError
 from learning.force.authors import import_force_weights
-from learning.force.model import load_force_model, prepare
+from learning.force.loading import load_force_model
+from learning.force.model import prepare
 from tactile.__main__ import main
 
 # Widths of a small network of the same structure: those of theirs are 64, 96, 128; 128; 256, 512.

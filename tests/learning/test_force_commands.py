@@ -7,7 +7,7 @@ from support.made_up_archives import made_up_archive, write_twin
 
 from learning.data.splits import make_split
 from learning.force.intervals import read_intervals
-from learning.force.model import load_force_model
+from learning.force.loading import load_force_model
 from recorder import MarkerArchive
 from tactile.__main__ import main
 

@@ -20,7 +20,8 @@ from learning.evaluation.predictions import read_predictions
 from learning.force import command
 from learning.force.export import export_onnx, random_frames, torch_stream
 from learning.force.live import open_live
-from learning.force.model import AXES, KIND, ForceModel, InputSettings, load_force_model, prepare
+from learning.force.loading import load_force_model
+from learning.force.model import AXES, KIND, ForceModel, InputSettings, prepare
 from learning.force.stream import open_exported
 from learning.force.train import ForceModelSettings, read_force_settings, train_force
 from learning.training.checkpoint import read_model_folder

@@ -10,7 +10,7 @@ import pytest
 
 from learning.errors import LearningError
 from learning.force.folder import model_folder
-from learning.force.model import load_force_model
+from learning.force.loading import load_force_model
 
 
 @pytest.fixture

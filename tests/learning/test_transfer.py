@@ -12,7 +12,7 @@ from support.commands import run_module
 from support.force_models import TINY_FORCE
 from support.made_up_archives import made_up_archive, write_twin
 
-from learning.cli import calibrate_force, evaluate, predict, transfer
+from learning.cli import calibrate_force, evaluate, force, predict
 from learning.data.labels import Labels, read_labels
 from learning.data.matching import SensorSelection, Tolerances
 from learning.errors import LearningError
@@ -381,23 +381,24 @@ def test_a_transfer_makes_a_model_that_no_label_of_the_target_has_touched(
     hashes = []
     for archive in (other, wrong, bare):
         out = tmp_path / f"run-{archive.path.name}"
-        named = ["--source", f"{one.path}:dots", "--target", f"{archive.path}:grid"]
-        assert run_module(transfer, *named, "--out", out, *settings) == 0
+        named = ["--source", f"{one.path}:dots", "--sensor", f"{archive.path}:grid"]
+        named += ["--by", "source"]
+        assert run_module(force, *named, "--out", out, *settings) == 0
         assert capsys.readouterr().out.splitlines()[-1] == (
-            f"next: tactile live --sensor grid --model {out / 'model'} --before {out / 'before'}"
+            f"next: tactile live --sensor grid --model {out} --before {out / 'steps' / 'before'}"
         )
-        found = read_predictions(out / "results" / "dots-to-grid.transferred.flow.npz")
-        hashes.append((found.model, (out / "model" / "intervals.json").read_text()))
-        for name in ("model/model.onnx", "before/model.onnx", "report.html"):
+        found = read_predictions(out / "steps" / "results" / "dots-to-grid.transferred.flow.npz")
+        hashes.append((found.model, (out / "intervals.json").read_text()))
+        for name in ("model.onnx", "steps/before/model.onnx", "report.html"):
             assert (out / name).stat().st_size > 1000
-        assert "**Scale assumed**" in (out / "model" / "card.md").read_text()
+        assert "**Scale assumed**" in (out / "card.md").read_text()
     assert len(set(hashes)) == 1
     with pytest.raises(LearningError, match=r"transfer\.json\.calibrate_on: found None"):
-        run_module(transfer, *named, "--out", out, *settings, "--calibrate-on", "prism")
+        run_module(force, *named, "--out", out, *settings, "--calibrate-on", "prism")
     # Again: nothing is trained twice.
-    assert run_module(transfer, *named, "--out", out, *settings) == 0
+    assert run_module(force, *named, "--out", out, *settings) == 0
 
-    model, weighed = out / "model", out / "weighed"
+    model, weighed = out, tmp_path / "weighed"
     row = int(np.flatnonzero(other["grid"].table["location"] < 0)[2])
     rows = ["--archive", f"{other.path}:grid", "--rows", row]
     run_module(calibrate_force, model, "--weights", "500g", *rows, "--out", weighed)
@@ -411,8 +412,10 @@ def test_a_transfer_makes_a_model_that_no_label_of_the_target_has_touched(
     capsys.readouterr()
     run_module(evaluate, weighed, f"{other.path}:grid")
     assert capsys.readouterr().out.splitlines()[-1].startswith("unlabelled sensor: R2 ")
-    split = ["--sensor", "grid", "--split", out / "split.json"]
-    run_module(predict, weighed, out / "pairs.markers.zarr", *split, "--out", tmp_path / "p.npz")
+    split = ["--sensor", "grid", "--split", out / "steps" / "split.json"]
+    run_module(
+        predict, weighed, out / "steps" / "pairs.markers.zarr", *split, "--out", tmp_path / "p.npz"
+    )
     told = capsys.readouterr().out
     assert "no label to compare with" in told
     assert "90 % intervals" in told
@@ -421,24 +424,25 @@ def test_a_transfer_makes_a_model_that_no_label_of_the_target_has_touched(
     assert (found.predicted < found.high).all()
     # A force-depth curve of the target is a force reference: labels are scaled by it.
     out = tmp_path / "curved"
-    words = [*named[:2], "--target", f"{other.path}:grid", "--priors", other.path]
-    assert run_module(transfer, *words, "--out", out, *settings) == 0
-    assert "**Scale known**: force-depth curves" in (out / "model" / "card.md").read_text()
-    assert (out / "results" / "dots-to-grid.priors.flow.npz").exists()
+    words = [*named[:2], "--by", "source", "--sensor", f"{other.path}:grid", "--priors", other.path]
+    assert run_module(force, *words, "--out", out, *settings) == 0
+    assert "**Scale known**: force-depth curves" in (out / "card.md").read_text()
+    assert (out / "steps" / "results" / "dots-to-grid.priors.flow.npz").exists()
 
 
 def by_twins(folder: Path, frames: int) -> tuple[list[Any], MarkerArchive]:
     """Return a transfer's words and its target, once both sensors were refused without a twin."""
-    words: list[Any] = ["--out", folder / "run", "--set", "compensation=[simulated]"]
+    words: list[Any] = ["--by", "source", "--out", folder / "run"]
+    words += ["--set", "compensation=[simulated]"]
     some = []
-    for name, role in (("dots", "--source"), ("grid", "--target")):
+    for name, role in (("dots", "--source"), ("grid", "--sensor")):
         path = folder / f"{name}.markers.zarr"
         some.append(made_up_archive(path, [name], frames_per_phase=frames, displacement=False))
         words += [role, f"{path}:{name}"]
     for archive, name in zip(some, ("dots", "grid"), strict=True):
         with pytest.raises(LearningError, match=f"{name}: found no forces of a twin; allowed: tac"):
-            run_module(transfer, *words)
-        assert not any((folder / "run").glob("*"))
+            run_module(force, *words)
+        assert not any((folder / "run" / "steps").glob("*"))
         write_twin(archive, name, 0.9 * archive[name].table["wrench"][:, :3], 0.01)
     return words, some[1]
 
@@ -456,13 +460,15 @@ def test_a_transfer_by_twins_has_the_target_s_scale(
     words, other = by_twins(tmp_path, frames=2)
     words += [word for each in SMALL for word in ("--set", each)]
     out = tmp_path / "run"
-    assert run_module(transfer, *words) == 0
-    card = (out / "model" / "card.md").read_text()
+    assert run_module(force, *words) == 0
+    card = (out / "card.md").read_text()
     assert "**Scale known**: twins of both skins" in card
     assert "scaled between the skins by their twins (`simulated`)" in card
-    assert np.isnan(MarkerArchive(out / "pairs.markers.zarr")["grid"].table["wrench"]).all()
+    assert np.isnan(
+        MarkerArchive(out / "steps" / "pairs.markers.zarr")["grid"].table["wrench"]
+    ).all()
     # The largest force learned from is the target's, of indenters that may be learned from.
-    intervals = read_intervals(out / "model")
+    intervals = read_intervals(out)
     assert intervals is not None
     table = other["grid"].table
     true = np.abs(table["wrench"][(table["location"] >= 0) & table["seen"], 2]).max()
@@ -470,4 +476,4 @@ def test_a_transfer_by_twins_has_the_target_s_scale(
     wrench = 0.8 * table["wrench"][:, :3]
     write_simulated(other["grid"], wrench, np.full(wrench.shape, 0.01), "another twin")
     with pytest.raises(LearningError, match=r"transfer\.json\.twins: found"):
-        run_module(transfer, *words)
+        run_module(force, *words)

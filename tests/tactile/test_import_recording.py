@@ -13,7 +13,6 @@ import simplejpeg
 from PIL import Image
 
 from learning.data.matching import SensorSelection, read_presses
-from learning.evaluation.baseline import fit_ridge
 from recorder import MarkerArchive, Session, check, faults
 from recorder.archive import SHADING_ZERO
 from recorder.convert.import_clocks import find_clock
@@ -95,7 +94,7 @@ def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
 def test_from_folders_to_scores_on_the_object_left_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Three commands: import, markers, evaluate; then `--like` needs no answer again."""
+    """Three commands: import, markers, force; then `--like` needs no answer again."""
     source, out = grasps(tmp_path / "in"), tmp_path / "gel"
     answers = ["--sensor", "gel", "--by-name", "--units", "N", "--fps", FPS]
     assert run("import", source, "--out", out, *answers, "--yes") == 0
@@ -124,14 +123,12 @@ def test_from_folders_to_scores_on_the_object_left_out(
     assert sensor.frames([hardest])[0, 0].max() > SHADING_ZERO + 25
     with pytest.raises(Exception, match="holds shading, not masks"):
         sensor.masks([0])
-    quick = "stages=[{epochs: 2, learning_rate: 0.002}]"
-    small = ["--set", "input.side_px=32", "--set", "network.encoder=[4,4,4]"]
-    report = tmp_path / "report"
-    assert run("evaluate", archive, "--out", report, "--set", quick, *small) == 0
+    model = tmp_path / "model"
+    assert run("force", "--sensor", archive, "--ways", "ridge", "--out", model) == 0
     told = capsys.readouterr().out
-    assert "ball left out: target R2 (Fz)" in told
-    assert "baseline R2 (Fz)" in told
-    assert "baseline" in (report / "report.html").read_text()
+    assert "R2 on indenters left out: Fz " in told
+    assert "90 % not guaranteed: 2 indenters" in told
+    assert (model / "forces.png").stat().st_size > 1000
     assert run("import", source, "--out", tmp_path / "b", "--like", sessions[0], "--yes") == 0
     joined = tmp_path / "j.markers.zarr"
     assert run("archive", "join", archive, f"{archive}:gel=other", "--out", joined) == 2
@@ -436,13 +433,3 @@ def _exported(kind: str, folder: Path, force: np.ndarray) -> Path:
         writer.release()
     pq.write_table(pa.table(rows), path / "data" / "chunk-000" / "file-000.parquet")
     return path
-
-
-def test_the_penalty_of_the_baseline_is_chosen_on_groups_left_out() -> None:
-    features = np.random.default_rng(0).normal(size=(60, 11))
-    wanted = features[:, 0] * 3 - features[:, 4] + 2
-    wanted[5] = np.nan
-    ridge = fit_ridge(features, wanted, np.repeat(range(6), 10).tolist())
-    assert ridge.penalty == 0.1
-    known = np.isfinite(wanted)
-    assert ridge.predict(features)[known] == pytest.approx(wanted[known], abs=0.05)

@@ -1,0 +1,118 @@
+"""Ways from a sensor's frames to its forces, from the simplest to the largest: one row each."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from learning.config import settings_to_dict
+from learning.data.presses import Form, Presses
+from learning.force.closed_form import ClosedFormModel, Features, fit_closed_form
+from learning.force.model import ForceModel
+from learning.force.train import ForceModelSettings, read_force_settings, train_force
+from recorder.archive import MASKS, ArchivedSensor
+
+# Presses of the sensor by the form of their frames.
+Frames = Mapping[Form, Presses]
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A way to forces that can be trained again without some indenters."""
+
+    name: str
+    about: str
+    form: Form
+    """Form of the frames that its models take."""
+    features: Features | None = None
+    """Features of a model in closed form."""
+    preset: str | None = None
+    """Preset of a network."""
+    source: Presses | None = None
+    """Presses of another sensor that the network learns first, whose indenters have the codes of
+    this one's (`with_codes`)."""
+    tuned: bool = True
+    """True if the network learns the sensor's own presses."""
+
+    def train(self, presses: Presses, seed: int, without_codes: frozenset[int]) -> ForceModel:
+        """Return the model of labelled presses without some indenters."""
+        own = without(presses, without_codes)
+        if self.features is not None:
+            return fit_closed_form(own, self.features)
+        settings = self._settings(seed, presses)
+        if self.source is None:
+            return train_force(own, settings)
+        model = train_force(without(self.source, without_codes), settings)
+        if not self.tuned:
+            return model
+        stage = replace(settings.stages[-1], learning_rate=0.3 * settings.stages[-1].learning_rate)
+        return train_force(own, replace(settings, stages=(stage,)), start_from=model)
+
+    def settings(self, model: ForceModel, seed: int, presses: Presses) -> dict[str, Any]:
+        """Return the settings of a trained model, as plain values of its folder."""
+        if isinstance(model, ClosedFormModel):
+            return {"closed_form": asdict(model.settings), "input": asdict(model.inputs)}
+        return settings_to_dict(self._settings(seed, presses))
+
+    def _settings(self, seed: int, presses: Presses) -> ForceModelSettings:
+        device = f"launch.device={presses.device.type}"
+        fixed = (f"seed={seed}", "patience_epochs=null", device)
+        return read_force_settings(str(self.preset), fixed)
+
+
+def candidates_of(sensor: ArchivedSensor, source: Presses | None = None) -> tuple[Candidate, ...]:
+    """Return the ways for a sensor, the simplest first.
+
+    `source` are labelled marker fields of another sensor, with the indenter codes of this one.
+    """
+    masks = sensor.representation == MASKS
+    form: Form = "field" if masks else "shading"
+    seen = "marker motion" if masks else "the picture's change"
+    ways = [
+        Candidate("mean", "the mean of the labels", form, "mean"),
+        Candidate("ridge", f"ridge regression on 11 statistics of {seen}", form, "statistics"),
+        Candidate("cells", f"ridge regression on {seen} in 8 x 8 cells", form, "grid"),
+        Candidate("kernel", "the same, with the likeness to learned frames", form, "kernel"),
+    ]
+    if not masks:
+        return *ways, Candidate("net", f"a net on {seen}", form, preset="shading")
+    net = Candidate("net", f"a net on {seen}", form, preset="displacement")
+    images = Candidate("images", "the paper's net, smaller, on images", "images", preset="tiny")
+    if source is not None:
+        about = f"a net on {seen} of {source.sensor}"
+        ways.append(
+            replace(net, name="source", about=f"{about}, as it is", source=source, tuned=False)
+        )
+        ways.append(
+            replace(net, name="tuned", about=f"{about}, tuned on own labels", source=source)
+        )
+    return *ways, net, images
+
+
+def with_codes(presses: Presses, names: Sequence[str], others: Sequence[str]) -> Presses:
+    """Return presses whose indenters' codes, in `names`, become those in `others`.
+
+    Indenters that are not among the others have negative codes.
+    """
+    place = {name: code for code, name in enumerate(others)}
+    codes = [place.get(names[code], -1 - code) for code in presses.indenter.tolist()]
+    return replace(presses, indenter=torch.tensor(codes, dtype=torch.int64))
+
+
+def without(presses: Presses, indenters: frozenset[int], *, inverted: bool = False) -> Presses:
+    """Return the presses that are not of some indenters, or with `inverted` those that are."""
+    of_them = np.isin(presses.indenter.numpy(), sorted(indenters))
+    kept = torch.from_numpy(of_them if inverted else ~of_them)
+    frames = kept[presses.of_frame]
+    lengths = presses.starts.diff()[kept]
+    on_device = frames.to(presses.device)
+    some: dict[str, Any] = {
+        **{name: getattr(presses, name)[on_device] for name in ("images", "reference", "wrench")},
+        **{name: getattr(presses, name)[kept] for name in ("location", "indenter", "target")},
+        **{name: getattr(presses, name)[frames] for name in ("phase", "depth", "frame", "rows")},
+    }
+    spread = None if presses.spread is None else presses.spread[on_device]
+    starts = torch.cat((lengths.new_zeros(1), lengths.cumsum(0)))
+    return replace(presses, starts=starts, spread=spread, **some)

@@ -1,0 +1,314 @@
+"""`tactile force` for a sensor with labels: the ways are compared, and the chosen one delivered."""
+
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from learning.choice.candidates import Candidate, Frames, candidates_of, with_codes
+from learning.choice.nested import FEWEST, Choice, Fold, Labelled, choose
+from learning.config import require_same
+from learning.data.matching import SensorSelection
+from learning.data.presses import Presses, load_presses
+from learning.errors import LearningError
+from learning.force.calibrate import IntervalCalibration, largest, scale_of_twin, shapes
+from learning.force.export import export_onnx
+from learning.force.intervals import (
+    FEWEST_INDENTERS,
+    AxisError,
+    Intervals,
+    LearnedShapes,
+    Scale,
+    fit_errors,
+    learned_within,
+)
+from learning.force.labels import LabelSource, label_source
+from learning.force.made_for import metadata_of
+from learning.force.model import AXES, KIND, ForceModel
+from learning.metrics import axis_means
+from learning.training.checkpoint import MODEL, Config, code_version, save_weights
+from learning.transfer.deliver import calibration_picture
+from recorder.archive import archive_fingerprint
+from recorder.pages import render
+from recorder.progress import ItemProgress
+from recorder.store import replace_file
+
+Floats = NDArray[np.float64]
+Say = Callable[[str], None]
+# Card and picture in the folder of the model; folder of what was learned on the way.
+CARD, PICTURE, STEPS = "card.md", "forces.png", "steps"
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A sensor whose frames have labels, and where its model goes."""
+
+    sensor: SensorSelection
+    out: Path
+    labels: str | None = None
+    """As `label_source` names them: a CSV, `twin`; None: the archive's."""
+    source: SensorSelection | None = None
+    """Another sensor with labels, from which nets may start."""
+    ways: tuple[str, ...] | None = None
+    """Names of the ways to compare; None: all."""
+    unseen: tuple[str, ...] | None = None
+    """Indenters that no stage uses; None: as in the archive."""
+    seed: int = 0
+    device: str = "cpu"
+
+
+def labelled_rows(one: Request, labels: LabelSource) -> NDArray[np.int64]:
+    """Return the rows of all presses of usable indenters that have a label (n,)."""
+    archive = one.sensor.archive
+    sensor = archive[one.sensor.sensor]
+    table = sensor.table
+    usable = table["valid"] & (table["location"] >= 0)
+    if one.unseen is None:
+        usable &= table["seen"]
+    else:
+        usable &= ~np.isin(np.array(archive.indenters)[table["indenter"]], one.unseen)
+    rows = np.flatnonzero(usable)
+    forces = np.asarray(table["wrench"][rows, :3], np.float64)
+    if labels.relabelling is not None:
+        phase = table["phase"][rows].astype(np.int64)
+        depth = np.asarray(table["depth"][rows], np.float64)
+        forces = labels.relabelling.forces(rows, forces, depth, phase)
+    pressed = np.unique(table["location"][rows[np.isfinite(forces).any(axis=1)]])
+    return rows[np.isin(table["location"][rows], pressed)]
+
+
+def indenters_labelled(one: Request) -> int:
+    """Return the number of indenters under which the sensor has labels."""
+    archive = one.sensor.archive
+    source = label_source(one.labels, archive, [one.sensor.sensor])
+    rows = labelled_rows(one, source)
+    return len(np.unique(archive[one.sensor.sensor].table["indenter"][rows]))
+
+
+def run_choice(one: Request, say: Say = print) -> Intervals:
+    """Compare the ways, train the chosen one, and write its folder; continue what was stopped.
+
+    Raises:
+        LearningError: Labels on fewer than two indenters, or other data than the folder begins
+            with.
+    """
+    archive, name = one.sensor.archive, one.sensor.sensor
+    source = label_source(one.labels, archive, [name])
+    rows = labelled_rows(one, source)
+    steps = one.out / STEPS
+    steps.mkdir(parents=True, exist_ok=True)
+    data = " ".join([archive_fingerprint(archive), name, *source.data])
+    require_same(
+        steps / "choice.json",
+        {
+            "data": data,
+            "source": one.source
+            and f"{archive_fingerprint(one.source.archive)} {one.source.sensor}",
+            "unseen": one.unseen and sorted(one.unseen),
+            "seed": one.seed,
+        },
+    )
+    ways = _ways(one)
+    frames = {form: _frames(one, source, rows, form) for form in {way.form for way in ways}}
+    presses = next(iter(frames.values()))
+    labels = Labelled(
+        presses.wrench[:, :3].double().cpu().numpy(), presses.indenter[presses.of_frame].numpy()
+    )
+    with ItemProgress("trainings", sys.stderr) as progress:
+        choice = choose(
+            ways, frames, labels, seed=one.seed, kept=steps / "left-out", progress=progress
+        )
+    names = archive.indenters
+    table = [*table_of(choice, ways, labels, names)]
+    say("\n".join(f"{way:10s} {mean:7.3f}  {worst}" for way, _, mean, worst in table))
+    chosen = next(way for way in ways if way.name == choice.name)
+    calibration = _calibrated(one, source, presses, labels, choice)
+    say(f"chosen: {chosen.name} ({chosen.about}), trained on all {len(labels.codes)} indenters")
+    with ItemProgress(f"training {chosen.name}", sys.stderr) as progress:
+        progress(0, 1)
+        model = chosen.train(frames[chosen.form], one.seed, frozenset())
+    _write(one, data, chosen, model, frames, rows, choice, calibration, table, labels)
+    for line in lines_of(choice, labels, calibration.intervals, names):
+        say(line)
+    return calibration.intervals
+
+
+def _ways(one: Request) -> list[Candidate]:
+    archive, sensor = one.sensor.archive, one.sensor.archive[one.sensor.sensor]
+    source = None
+    if one.source is not None:
+        other = one.source.archive[one.source.sensor]
+        labelled = other.table["valid"] & (other.table["location"] >= 0) & other.table["seen"]
+        with ItemProgress(f"frames of {one.source.sensor}", sys.stderr) as progress:
+            loaded = load_presses(
+                other, np.flatnonzero(labelled), device=one.device, form="field", progress=progress
+            )
+        source = with_codes(loaded, one.source.archive.indenters, archive.indenters)
+    ways = candidates_of(sensor, source)
+    known = [way.name for way in ways]
+    if unknown := sorted(set(one.ways or ()) - set(known)):
+        raise LearningError(f"--ways: found {', '.join(unknown)}; allowed: {', '.join(known)}")
+    return [way for way in ways if one.ways is None or way.name in one.ways]
+
+
+def _frames(one: Request, source: LabelSource, rows: NDArray[np.int64], form: Any) -> Presses:
+    with ItemProgress(f"frames as {form}", sys.stderr) as progress:
+        sensor = one.sensor.archive[one.sensor.sensor]
+        return source.of(
+            load_presses(sensor, rows, device=one.device, form=form, progress=progress)
+        )
+
+
+def _calibrated(
+    one: Request, source: LabelSource, presses: Presses, labels: Labelled, choice: Choice
+) -> IntervalCalibration:
+    """Return the intervals of the chosen way, by its errors on indenters that were left out."""
+    archive = one.sensor.archive
+    sensor, rows = archive[one.sensor.sensor], presses.rows.numpy()
+    names = np.array(archive.indenters)[labels.indenter]
+    scale = Scale(1.0, "its labels are taken as true", assumed=False)
+    errors_from = "its own labels, each indenter left out"
+    if source.own_twin:
+        scale = scale_of_twin(sensor, rows)
+        errors_from = f"forces of {source.data[0]}, each indenter left out"
+    intervals = Intervals(
+        axes=fit_errors(choice.left_out, labels.forces, names),
+        scale=scale,
+        largest=largest(labels.forces),
+        learned=_learned(
+            shapes(sensor, rows), labels.indenter, [fold for fold, _ in choice.by_fold]
+        ),
+        frames=int(np.isfinite(labels.forces).any(axis=1).sum()),
+        indenters=tuple(sorted(set(names.tolist()))),
+        errors_from=errors_from,
+    )
+    known = np.isfinite(labels.forces).any(axis=1)
+    return IntervalCalibration(
+        intervals, choice.left_out[known], labels.forces[known], names[known]
+    )
+
+
+def _learned(values: Floats, indenter: NDArray[np.int64], folds: list[Fold]) -> LearnedShapes:
+    """Return the learned shapes (n, 7), with the limit that frames of left-out folds set."""
+    held = [np.isin(indenter, sorted(fold)) for fold in folds]
+    return learned_within(values, [(values[~out], values[out]) for out in held])
+
+
+# Results: table, lines, folder.
+
+
+def table_of(
+    choice: Choice, ways: list[Candidate], labels: Labelled, names: tuple[str, ...]
+) -> Iterator[tuple[str, str, float, str]]:
+    """Yield the name of each way, its words, its score left out, and the worst indenter's."""
+    for way in ways:
+        errors = choice.errors.get(way.name)
+        if errors is None:
+            continue
+        worst = int(np.nanargmax(errors))
+        text = f"worst {names[labels.codes[worst]]} {1 - errors[worst]:.3f}"
+        yield way.name, way.about, float(1 - axis_means(errors[:, None])[0]), text
+
+
+def guaranteed(choice: Choice, labels: Labelled, axes: tuple[AxisError | None, ...]) -> float:
+    """Return the share of forces of a new indenter that intervals contain for certain, on average.
+
+    Of k indenters that were left out and a new one any may be the worst: of the new one's forces,
+    k / (k + 1) times the part that the intervals contain of the others are sure to be within.
+    """
+    size = np.sqrt(np.nansum(np.square(choice.left_out), axis=1))
+    inside = []
+    for axis, error in enumerate(axes):
+        off = np.abs(choice.left_out[:, axis] - labels.forces[:, axis])
+        if error is not None:
+            within = off <= error.base + error.slope * size
+            inside += [
+                float(within[(labels.indenter == code) & np.isfinite(off)].mean())
+                for code in labels.codes
+                if np.isfinite(off[labels.indenter == code]).any()
+            ]
+    count = len(labels.codes)
+    return count / (count + 1) * float(np.mean(inside)) if inside else 0.0
+
+
+def lines_of(
+    choice: Choice, labels: Labelled, intervals: Intervals, names: tuple[str, ...]
+) -> Iterator[str]:
+    """Yield the lines to print: R2 of the nested choice, errors, coverage and its guarantee."""
+    fits = labels.fits(choice.nested)
+    by_axis = axis_means(fits)
+    shown = "  ".join(
+        f"{axis} {fit:.3f}" for axis, fit in zip(AXES, by_axis, strict=True) if np.isfinite(fit)
+    )
+    each = ", ".join(
+        f"{names[code]} {axis_means(row[:, None])[0]:.2f}"
+        for code, row in zip(labels.codes, fits, strict=True)
+    )
+    yield f"R2 on indenters left out: {shown} ({each})"
+    if len(labels.codes) >= FEWEST:
+        by = ", ".join(sorted({way for _, way in choice.by_fold}))
+        yield f"each was left out of choice ({by}), training and calibration"
+    else:
+        yield f"labels on {len(labels.codes)} indenters: the way is fixed, none is left to choose"
+    off = np.abs(choice.nested - labels.forces)
+    covered = 100 * axis_means(choice.covered)
+    for axis, error in enumerate(intervals.axes):
+        if error is not None:
+            yield (
+                f"{AXES[axis]}: off by {np.nanmean(off[:, axis]):.3f} N in the mean; interval +- "
+                f"{error.base:.3f} N +- {100 * error.slope:.1f} % of the force, contained "
+                f"{covered[axis]:.0f} %"
+            )
+    if len(labels.codes) < FEWEST_INDENTERS:
+        level = 100 * guaranteed(choice, labels, intervals.axes)
+        yield (
+            f"90 % not guaranteed: {len(labels.codes)} indenters are fewer than "
+            f"{FEWEST_INDENTERS}; {level:.0f} % are, of a new indenter like these"
+        )
+
+
+def _write(
+    one: Request,
+    data: str,
+    way: Candidate,
+    model: ForceModel,
+    frames: Frames,
+    rows: NDArray[np.int64],
+    choice: Choice,
+    calibration: IntervalCalibration,
+    table: list[tuple[str, str, float, str]],
+    labels: Labelled,
+) -> None:
+    """Write the folder of the model; its weights come last."""
+    archive, out = one.sensor.archive, one.out
+    seen = sorted(set(calibration.intervals.indenters))
+    metadata = {
+        **metadata_of(archive, {one.sensor.sensor: rows}),
+        "choice": {"way": way.name, "about": way.about, "seen": seen},
+    }
+    settings = way.settings(model, one.seed, frames[way.form])
+    for name in ("model.onnx", f"{MODEL}.safetensors"):
+        (out / name).unlink(missing_ok=True)
+    Config(KIND, settings, data, code_version(), metadata, step=0).write(out)
+    calibration.intervals.write(out)
+    replace_file(out / PICTURE, calibration_picture(calibration))
+    with torch.no_grad():
+        difference = export_onnx(model, out / "model.onnx")
+    card = render(
+        Path(__file__).with_name(CARD),
+        sensor=one.sensor.sensor,
+        way=way,
+        table=table,
+        lines=[*lines_of(choice, labels, calibration.intervals, archive.indenters)],
+        intervals=calibration.intervals,
+        archive=archive.name,
+        difference=difference,
+        seed=one.seed,
+    )
+    replace_file(out / CARD, card.encode())
+    save_weights(model, out / f"{MODEL}.safetensors")
