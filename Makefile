@@ -65,7 +65,7 @@ demo-transfer: $(VENV)/.learning-sim  ## newtons on a simulated sensor without a
 	@out=$(call folder,runs/demo-transfer) && bare="$$out/bare.markers.zarr:bare" && \
 	for name in gauge bare; do \
 	  $(TACTILE) sim archive $(BARE)/$$name.yaml $(SMALL) --out "$$out/$$name.markers.zarr" || exit; done && \
-	$(TACTILE) force --sensor "$$bare" --by source --source "$$out/gauge.markers.zarr:gauge" --out "$$out/model" && \
+	$(TACTILE) force --sensor "$$bare" --by source --source "$$out/gauge.markers.zarr" --out "$$out/model" && \
 	rm -rf "$$out/weighed" && $(TACTILE) calibrate-force "$$out/model" \
 	  $$($(PY) $(BARE)/weigh.py "$$bare" 50,200,400) --out "$$out/weighed" && \
 	$(TACTILE) evaluate "$$out/weighed" "$$bare"

@@ -155,7 +155,7 @@ LEARN = (
     Command(
         "force",
         "tactile.force",
-        "make a force model of a sensor, with error bars, by the best way its data allow",
+        "make a force model of a sensor by the best way its data allow",
         extra="learning,sim",
     ),
     Command(

@@ -2,8 +2,8 @@
 
 import argparse
 
-from learning.cli import force
 from learning.cli.archive_join import chosen_sensors, only_sensor
+from learning.cli.force import add_options, make_model
 from recorder.command_line.options import add_value, whole
 
 
@@ -14,7 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--twin", metavar="YAML", help=about)
     add_value(parser, "--processes", "N", 2, "processes that simulate the twin", whole(1))
-    force.add_arguments(parser)
+    add_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -30,4 +30,4 @@ def run(options: argparse.Namespace) -> int:
             device=options.device,
             processes=options.processes,
         )
-    return force.run(options)
+    return make_model(options)

@@ -1,4 +1,4 @@
-"""`tactile force`: newtons from a sensor's frames, by the best way that its data allow."""
+"""Of `tactile force`: newtons from a sensor's frames, by the best way that its data allow."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 OWN, TWIN, SOURCE = "own", "twin", "source"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
         "Makes a force model of a sensor. With labels of its own, of the forces of its twin, or of "
@@ -96,7 +96,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="MODEL", help="folder of the model")
 
 
-def run(options: argparse.Namespace) -> int:
+def make_model(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from learning.choice.evidence import LABELS, lines_of_way
     from learning.choice.run import Request, run_choice

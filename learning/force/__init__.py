@@ -11,8 +11,8 @@ from recorder.on_demand import imports_on_demand
 if TYPE_CHECKING:
     from learning.force.export import export_onnx as export_onnx
     from learning.force.live import open_live as open_live
-    from learning.force.model import ForceModel as ForceModel
     from learning.force.loading import load_force_model as load_force_model
+    from learning.force.model import ForceModel as ForceModel
     from learning.force.stream import ForceStream as ForceStream
     from learning.force.stream import open_exported as open_exported
 

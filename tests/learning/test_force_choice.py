@@ -14,7 +14,7 @@ from support.made_up_archives import made_up_archive, write_twin
 from learning.choice.candidates import candidates_of, with_codes, without
 from learning.choice.evidence import read_evidence
 from learning.choice.nested import Labelled, choose, folds_of, simplest
-from learning.cli import evaluate, force
+from learning.cli import evaluate
 from learning.data.presses import Presses
 from learning.errors import LearningError
 from learning.force.closed_form import INPUTS, fit_closed_form, statistics
@@ -24,6 +24,7 @@ from learning.force.loading import load_force_model
 from learning.force.model import ForceModel, prepare
 from learning.training.checkpoint import Config, save_weights
 from recorder import MarkerArchive
+from tactile import force
 
 ROOT = Path(__file__).parents[2]
 

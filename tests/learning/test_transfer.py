@@ -12,7 +12,7 @@ from support.commands import run_module
 from support.force_models import TINY_FORCE
 from support.made_up_archives import made_up_archive, write_twin
 
-from learning.cli import calibrate_force, evaluate, force, predict
+from learning.cli import calibrate_force, evaluate, predict
 from learning.data.labels import Labels, read_labels
 from learning.data.matching import SensorSelection, Tolerances
 from learning.errors import LearningError
@@ -34,6 +34,7 @@ from learning.transfer.score import NewFrames, score_of
 from recorder import MarkerArchive
 from recorder.archive import write_simulated
 from recorder.spec import PHASES
+from tactile import force
 from tests.support.few import few
 
 ASSUMED = Scale(2.0, "assumed", assumed=True)
