@@ -38,8 +38,9 @@ INPUTS = {
 CELLS = 8
 # Step of a plane, as the network takes it, that counts as large; percentile of the steps.
 LARGE, PERCENTILE = 0.1, 0.99
-# Penalty of statistics, and those that are tried for others, over the number of frames.
-FIXED, PENALTIES = 0.03, (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
+# Number of groups; penalty of statistics, and those that are tried for others, over the number of
+# frames.
+GROUPS, FIXED, PENALTIES = 4, 0.03, (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
 # Directions and frames of the kernel; its widths are tried, over the typical distance of frames.
 DIRECTIONS, CENTRES, WIDTHS = 8, 150, (0.5, 1.0, 2.0)
 _AT_ONCE = 512
@@ -159,8 +160,8 @@ class ClosedFormModel(ForceModel):
 def fit_closed_form(presses: Presses, features: Features) -> ClosedFormModel:
     """Return the model of labelled presses of a sensor, marker fields or shading.
 
-    The groups that are left out to choose penalties are its indenters, or its presses if it has
-    one.
+    The groups that are left out to choose penalties are some of its indenters, or of its presses if
+    it has one indenter.
     """
     presses.require_wrench()
     inputs = INPUTS[presses.form]
@@ -171,7 +172,8 @@ def fit_closed_form(presses: Presses, features: Features) -> ClosedFormModel:
         [empty.features(prepared_rows(presses, r.to(presses.device), inputs).cpu()) for r in rows]
     ).double()
     indenter = presses.indenter[presses.of_frame].numpy()
-    groups = indenter if len(np.unique(indenter)) > 1 else presses.of_frame.numpy()
+    of = indenter if len(np.unique(indenter)) > 1 else presses.of_frame.numpy()
+    groups = np.unique(of, return_inverse=True)[1] % GROUPS
     box = ForceRange.from_training(presses.wrench.cpu())
     best: tuple[float, ClosedFormModel] | None = None
     for width in WIDTHS if features == "kernel" else (0.0,):
