@@ -14,6 +14,8 @@ from learning.force.model import ForceModel
 from learning.force.train import ForceModelSettings, read_force_settings, train_force
 from recorder.archive import MASKS, ArchivedSensor
 
+# Settings over those of the presets: no presses are kept back to end a training early.
+OVER: tuple[str, ...] = ("patience_epochs=null",)
 # Presses of the sensor by the form of their frames.
 Frames = Mapping[Form, Presses]
 
@@ -58,8 +60,7 @@ class Candidate:
 
     def _settings(self, seed: int, presses: Presses) -> ForceModelSettings:
         device = f"launch.device={presses.device.type}"
-        fixed = (f"seed={seed}", "patience_epochs=null", device)
-        return read_force_settings(str(self.preset), fixed)
+        return read_force_settings(str(self.preset), (f"seed={seed}", device, *OVER))
 
 
 def candidates_of(sensor: ArchivedSensor, source: Presses | None = None) -> tuple[Candidate, ...]:

@@ -236,6 +236,21 @@ def guaranteed(choice: Choice, labels: Labelled, axes: tuple[AxisError | None, .
     return count / (count + 1) * float(np.mean(inside)) if inside else 0.0
 
 
+def coverage(choice: Choice, labels: Labelled, names: tuple[str, ...]) -> Iterator[str]:
+    """Yield the part of labels within their intervals by third of the force and worst indenter."""
+    size = np.sqrt(np.nansum(np.square(labels.forces), axis=1))
+    thirds = np.searchsorted(np.quantile(size, (1 / 3, 2 / 3)), size)
+    for third, word in enumerate(("light", "middle", "strong")):
+        yield f"{100 * _mean(choice.covered[thirds == third]):.0f} % of {word} forces"
+    of = {code: _mean(choice.covered[labels.indenter == code]) for code in labels.codes}
+    worst = min(of, key=of.__getitem__)
+    yield f"{100 * of[worst]:.0f} % of {names[worst]}, the least"
+
+
+def _mean(covered: Floats) -> float:
+    return float(axis_means(covered.reshape(-1, 1))[0])
+
+
 def lines_of(
     choice: Choice, labels: Labelled, intervals: Intervals, names: tuple[str, ...]
 ) -> Iterator[str]:
@@ -250,6 +265,7 @@ def lines_of(
         for code, row in zip(labels.codes, fits, strict=True)
     )
     yield f"R2 on indenters left out: {shown} ({each})"
+    yield f"90 % intervals contain {', '.join(coverage(choice, labels, names))}"
     if len(labels.codes) >= FEWEST:
         by = ", ".join(sorted({way for _, way in choice.by_fold}))
         yield f"each was left out of choice ({by}), training and calibration"

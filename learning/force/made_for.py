@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learning.errors import LearningError
+from learning.force.intervals import read_intervals
 from learning.markers.segment import (
     TaxelPreset,
     built_preset,
@@ -99,6 +100,27 @@ def made_for(model: str | os.PathLike[str]) -> tuple[Conditions, ...]:
         meters = math.nan if depth is None else 1e-3 * float(depth)
         found.append(Conditions(sensor, signal, description, meters, markers))
     return tuple(found)
+
+
+def origin_of(model: str | os.PathLike[str]) -> str:
+    """Return the way by which `tactile force` made the model in a folder, and its intervals.
+
+    Empty for another model.
+    """
+    folder = Path(model)
+    metadata = read_config(folder).metadata if (folder / CONFIG).is_file() else {}
+    transfer = metadata.get("transfer")
+    way = f"labels of {transfer['source']}" if transfer else metadata.get("choice", {}).get("about")
+    intervals = read_intervals(folder)
+    if not way or intervals is None:
+        return way or ""
+    errors = [
+        f"{axis} +- {error.base:.2f} N +- {100 * error.slope:.0f} %"
+        for axis, error in zip(("Fx", "Fy", "Fz"), intervals.axes, strict=True)
+        if error is not None
+    ]
+    scale = "; scale assumed" if intervals.scale.assumed else ""
+    return f"{way}; 90 % intervals {', '.join(errors)}{scale}"
 
 
 def differences(model: str, made: Sequence[Conditions], here: Conditions) -> Iterator[str]:

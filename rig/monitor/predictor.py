@@ -51,11 +51,11 @@ def open_predictor(
 
 
 def made_for(model: str) -> str:
-    """Return the name of a model of `force_model`, and its purpose if it states that."""
-    from learning.force.made_for import made_for
+    """Return the name of a model of `force_model`, its purpose and its origin if it states them."""
+    from learning.force.made_for import made_for, origin_of
 
-    made = "; ".join(map(str, made_for(model)))
-    return f"{Path(model).name}, made for {made}" if made else Path(model).name
+    made, origin = "; ".join(map(str, made_for(model))), origin_of(model)
+    return Path(model).name + (f", made for {made}" if made else "") + (origin and f"; {origin}")
 
 
 def open_segmenter(sensor: str) -> Segmenter:

@@ -1,6 +1,7 @@
 """Choice of the way to forces: closed-form models, nested errors, and the command."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from learning.force.closed_form import INPUTS, fit_closed_form, statistics
 from learning.force.export import torch_stream
 from learning.force.intervals import read_intervals, shapes_of_shading
 from learning.force.loading import load_force_model
+from learning.force.made_for import origin_of
 from learning.force.model import ForceModel, prepare
 from learning.training.checkpoint import Config, save_weights
 from recorder import MarkerArchive
@@ -188,6 +190,7 @@ def test_the_command_chooses_delivers_and_says_how_good_it_is(
     assert intervals.indenters == ("cone", "prism", "sphere")
     assert load_force_model(out).axes == ("Fx", "Fy", "Fz")
     assert "| cells |" in (out / "card.md").read_text()
+    assert re.search(r"marker motion.*; 90 % intervals Fx \+- \d", origin_of(out))
     # Again: what was left out is not trained again, and the model is the same.
     times = {file: file.stat().st_mtime_ns for file in (out / "steps" / "left-out").iterdir()}
     assert run_module(force, *words, "--out", out) == 0
@@ -222,6 +225,27 @@ def test_forces_of_a_twin_are_labels_of_a_sensor_without_a_gauge(
     assert "* the forces of its twin" in capsys.readouterr().out
     with pytest.raises(LearningError, match="--source: missing"):
         run_module(force, *words, "--by", "source")
+
+
+def test_another_sensor_s_net_is_a_way_and_begins_one(
+    archive: MarkerArchive,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("learning.choice.run.export_onnx", lambda model, out: 0.0)
+    short = ("patience_epochs=null", "stages=[{epochs: 1, learning_rate: 0.001}]")
+    monkeypatch.setattr("learning.choice.candidates.OVER", short)
+    other = tmp_path / "b.markers.zarr"
+    made_up_archive(other, ["grid"], ("cone", "sphere", "prism"), unseen=(), targets=1)
+    words = ["--sensor", str(archive.path), "--source", f"{other}:grid", "--ways", "source,tuned"]
+    assert run_module(force, *words, "--out", tmp_path / "model") == 0
+    told = capsys.readouterr().out
+    assert "chosen: " in told
+    assert "a net on marker motion of grid" in told
+    model = load_force_model(tmp_path / "model")
+    # Whichever was chosen, it is a net whose forces are within its range of training.
+    assert (model.high > model.low).all()
 
 
 def test_the_table_of_ways_is_that_of_the_experiments() -> None:
