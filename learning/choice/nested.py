@@ -154,7 +154,7 @@ def choose(
         nested[inside] = predicted[chosen, frozenset((index,))][inside]
         indenters = labels.indenter[~inside].astype(str)
         axes = fit_errors(inner[~inside], labels.forces[~inside], indenters)
-        covered[inside] = _covered(axes, nested[inside], labels.forces[inside])
+        covered[inside] = contained(axes, nested[inside], labels.forces[inside])
         by_fold.append((fold, chosen))
     return Choice(name, errors, whole[name], nested, tuple(by_fold), covered)
 
@@ -211,7 +211,7 @@ def _joined(
     return joined
 
 
-def _covered(axes: Sequence[AxisError | None], predicted: Floats, true: Floats) -> Floats:
+def contained(axes: Sequence[AxisError | None], predicted: Floats, true: Floats) -> Floats:
     """Return 1 where a label (n, 3) is within its interval, 0 where not, NaN without either."""
     size = np.sqrt(np.nansum(np.square(predicted), axis=1))
     within = np.full_like(true, np.nan)

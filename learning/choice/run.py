@@ -1,7 +1,7 @@
 """`tactile force` for a sensor with labels: the ways are compared, and the chosen one delivered."""
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from learning.choice.candidates import Candidate, Frames, candidates_of, with_codes
-from learning.choice.nested import FEWEST, Choice, Fold, Labelled, choose
+from learning.choice.nested import FEWEST, Choice, Fold, Labelled, choose, contained
 from learning.config import require_same
 from learning.data.matching import SensorSelection
 from learning.data.presses import Presses, load_presses
@@ -215,25 +215,19 @@ def table_of(
         yield way.name, way.about, float(1 - axis_means(errors[:, None])[0]), text
 
 
-def guaranteed(choice: Choice, labels: Labelled, axes: tuple[AxisError | None, ...]) -> float:
+def guaranteed(choice: Choice, labels: Labelled, axes: Sequence[AxisError | None]) -> float:
     """Return the share of forces of a new indenter that intervals contain for certain, on average.
 
     Of k indenters that were left out and a new one any may be the worst: of the new one's forces,
     k / (k + 1) times the part that the intervals contain of the others are sure to be within.
     """
-    size = np.sqrt(np.nansum(np.square(choice.left_out), axis=1))
-    inside = []
-    for axis, error in enumerate(axes):
-        off = np.abs(choice.left_out[:, axis] - labels.forces[:, axis])
-        if error is not None:
-            within = off <= error.base + error.slope * size
-            inside += [
-                float(within[(labels.indenter == code) & np.isfinite(off)].mean())
-                for code in labels.codes
-                if np.isfinite(off[labels.indenter == code]).any()
-            ]
+    inside = contained(axes, choice.left_out, labels.forces)
     count = len(labels.codes)
-    return count / (count + 1) * float(np.mean(inside)) if inside else 0.0
+    return (
+        count
+        / (count + 1)
+        * float(np.nanmean([_mean(inside[labels.indenter == code]) for code in labels.codes]))
+    )
 
 
 def coverage(choice: Choice, labels: Labelled, names: tuple[str, ...]) -> Iterator[str]:

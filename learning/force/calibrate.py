@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from learning.compensation.simulated import twin_forces
 from learning.data.presses import Presses, load_presses
-from learning.data.splits import Split
 from learning.errors import LearningError
 from learning.force.intervals import (
     FEWEST,
@@ -105,31 +104,6 @@ def calibrated(
     )
 
 
-def calibrated_by_twin(
-    archive: MarkerArchive, sensor: str, split: Split, model: ForceModel
-) -> IntervalCalibration | None:
-    """Return the intervals of a model that learned from the forces of its sensor's own twin.
-
-    What they are compared with are forces of the same twin, on the frames that the split has under
-    unseen indenters: an interval contains the model's errors there and the spread of the twin's
-    forces. None without such frames.
-    """
-    table = archive[sensor].table
-    every = np.arange(len(table["location"]))
-    calibrates = np.isin(every, split.rows(table, "new_indenter"))
-    learned = np.isin(every, split.rows(table, "train"))
-    if not calibrates.any():
-        return None
-    labels = twin_forces(archive[sensor])
-    expected = ExpectedForces(
-        labels.force,
-        f"forces of {labels.made_from}",
-        scale_of_twin(archive[sensor], np.flatnonzero(calibrates)),
-        labels.force[learned],
-    )
-    return calibrated(archive, sensor, model, expected, calibrates=calibrates, learned=learned)
-
-
 def scale_of_twin(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Scale:
     """Return the scale of forces of a twin, by the spread of its normal forces in some rows."""
     twin = twin_forces(sensor)
@@ -159,17 +133,6 @@ def shapes(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Floats:
 def presses_of_rows(sensor: ArchivedSensor, rows: NDArray[np.int64], model: ForceModel) -> Presses:
     """Load presses as a model takes them."""
     return load_presses(sensor, rows, device=model.device, form=model.inputs.stored_form)
-
-
-def interval_line(calibration: IntervalCalibration) -> str:
-    """Return a line about intervals that are written beside a model."""
-    intervals = calibration.intervals
-    low, high = intervals.of(calibration.predicted)
-    shear, normal = ((high - low)[:, axes].mean() / 2 for axes in (slice(0, 2), 2))
-    return (
-        f"90 % intervals, by frames under {', '.join(intervals.indenters)}: in "
-        f"the mean +-{shear:.3f} N of shear, +-{normal:.3f} N of Fz"
-    )
 
 
 def largest(labels: Floats) -> tuple[float | None, float | None, float | None]:

@@ -108,8 +108,7 @@ def run(options: argparse.Namespace) -> int:
             )
         if not session.run.writes:
             return iter(())
-        own_twin = archive[sensors[0]] if source.own_twin else None
-        return _delivered(out, archive, split, settings, model, presses, validation, own_twin)
+        return _delivered(out, archive, split, settings, model, presses, validation)
 
     rows_of = {name: split.rows(archive[name].table, "train") for name in sensors}
     metadata = {**metadata_of(archive, rows_of), **_origin(archive[sensors[0]], source)}
@@ -147,9 +146,8 @@ def _delivered(
     model: ForceModel,
     presses: list[Presses],
     validation: list[Presses],
-    own_twin: ArchivedSensor | None,
 ) -> Iterator[str]:
-    """Write ONNX, card and, of a sensor's own twin, intervals; yield the lines that report it."""
+    """Write ONNX and card; yield the lines that report it."""
     from learning.force.export import export_onnx
     from learning.force.made_for import made_for
     from recorder.pages import render
@@ -162,8 +160,6 @@ def _delivered(
     yield from _partly_labelled(model, presses)
     errors = [_errors(model, each) for each in validation]
     yield from errors
-    if own_twin is not None:
-        yield from _with_intervals(out, archive, own_twin, split, model)
     difference = export_onnx(model, out / ONNX)
     card = render(
         Path(__file__).with_name(CARD),
@@ -211,25 +207,3 @@ def _errors(model: ForceModel, presses: Presses) -> str:
     true = presses.wrench.cpu().numpy().astype(np.float64)
     off = axis_means(abs(model.predict(presses) - true)).tolist()
     return f"{presses.sensor}: off in validation by {by_axis(AXES, off)} N"
-
-
-def _with_intervals(
-    out: Path, archive: MarkerArchive, sensor: ArchivedSensor, split: Split, model: ForceModel
-) -> Iterator[str]:
-    """Write intervals beside a model of its own twin's forces, and yield lines about them."""
-    from learning.force.calibrate import calibrated_by_twin, interval_line
-
-    try:
-        calibration = calibrated_by_twin(archive, sensor.name, split, model)
-    except LearningError as error:
-        # The model is trained all the same.
-        yield f"no intervals: {error}"
-        return
-    if calibration is None:
-        yield (
-            "no intervals: the split has no unseen indenter, whose frames would show how far "
-            "off the model is (--unseen NAME,...)"
-        )
-        return
-    calibration.intervals.write(out)
-    yield interval_line(calibration)

@@ -6,7 +6,6 @@ import pytest
 from support.made_up_archives import made_up_archive, write_twin
 
 from learning.data.splits import make_split
-from learning.force.intervals import read_intervals
 from learning.force.loading import load_force_model
 from recorder import MarkerArchive
 from tactile.__main__ import main
@@ -100,38 +99,6 @@ def test_a_sensor_without_a_label_learns_the_forces_of_its_own_twin(
     learned = (labelled.table["location"] >= 0) & labelled.table["seen"]
     assert float(model.low[2]) == pytest.approx(np.nanmin(wrench[learned, 2]), rel=1e-5)
     assert "twin of dots" in (tmp_path / "run" / "config.yaml").read_text()
-    # Intervals are by frames of the indenters that the split holds back, and the twin's spread.
-    assert "90 % intervals, by frames under" in capsys.readouterr().out
-    found = read_intervals(tmp_path / "run")
-    assert found is not None
-    assert found.indenters == ("cone",)
-    assert found.errors_from == "forces of twin of dots"
-    assert not found.scale.assumed
-    pressed = wrench[(labelled.table["location"] >= 0) & ~labelled.table["seen"], 2]
-    some = pressed[np.abs(pressed) > 0.25 * np.abs(pressed).max()]
-    assert found.scale.factor == pytest.approx(np.exp(1.6449 * np.median(0.1 / np.abs(some))))
-    assert found.largest[2] == pytest.approx(np.nanmax(np.abs(wrench[learned, 2])))
-
-
-def test_a_model_of_a_twins_forces_has_no_intervals_if_it_learned_from_all_indenters(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    archive, words = begin(tmp_path, {**ALL, "unseen": []})
-    wrench = archive["dots"].table["wrench"][:, :3]
-    write_twin(archive, "dots", wrench)
-    words += ["--labels", "twin", "--sensor", "dots"]
-    assert main(words) == 0
-    assert "no intervals: " in capsys.readouterr().out
-    assert read_intervals(tmp_path / "run") is None
-    # Nor if the twin has no force under those that were held back.
-    make_split(archive, **ALL).write(tmp_path / "held.json")
-    words += ["--split", str(tmp_path / "held.json")]
-    wrench[~archive["dots"].table["seen"]] = np.nan
-    write_twin(archive, "dots", wrench)
-    assert main([*words, "--out", str(tmp_path / "other")]) == 0
-    assert "no intervals: " in (out := capsys.readouterr().out)
-    assert "have a force on any axis by forces of twin of dots" in out
-    assert load_force_model(tmp_path / "other").axes == ("Fx", "Fy", "Fz")
 
 
 def test_readings_typed_in_are_the_labels_of_a_sensor_without_a_gauge(
