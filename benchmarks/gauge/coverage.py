@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 
 from benchmarks.paper.study import folder_of, simulate
 from benchmarks.report import ROOT, Page, Run, table
-from learning.config import read_settings
+from learning.choice.run import Request, carried_labels, run_choice
 from learning.data.matching import SensorSelection
-from learning.experiment.settings import PRESETS, ExperimentSettings
 from learning.force.calibrate import presses_of_rows
 from learning.force.intervals import ScaleSample, measured_scale
 from learning.force.loading import load_force_model
-from learning.transfer.run import TransferRequest, run_transfer
+from learning.transfer.carry import CarryRequest, carry
 from learning.transfer.score import NewFrames, new_frames, score_of
 from recorder import MarkerArchive
 from recorder.progress import span_of
@@ -34,7 +33,6 @@ WITHIN, GRAMS, SKINS, SEED = 2.0, 200.0, 20, 0
 SOURCE, TARGET = "gauge", "bare"
 FRACTION, PHASE = 0.025, 4
 TOY: dict[str, Any] = {"indenters": ("sphere", "sphere_s", "prism"), "fraction": 0.01, "steps": 2}
-_FEW = "stages=[{epochs: 1, learning_rate: 0.002, schedule: cosine}]"
 
 
 def measure(run: Run) -> dict[str, Any]:
@@ -47,24 +45,21 @@ def measure(run: Run) -> dict[str, Any]:
         path = folder / f"{name}.markers.zarr"
         progress = span_of(run.progress, 0.2 * done, 0.2)
         archives[name] = simulate(path, plan, run, progress, "cpu")
-    overrides = [f"force.set=['{_FEW}']", f"fine_tuning=['{_FEW}']"] if run.quick else []
-    request = TransferRequest(
-        source=SensorSelection(archives[SOURCE], SOURCE, SOURCE),
-        target=SensorSelection(archives[TARGET], TARGET, TARGET),
-        out=folder / "transfer",
-        settings=read_settings(ExperimentSettings, PRESETS, "transfer", overrides),
-        device=run.device,
-    )
-    run_transfer(request, lambda line: None)
+    source, target = (SensorSelection(archives[name], name, name) for name in (SOURCE, TARGET))
+    carried = carry(CarryRequest(source, target, folder / "steps"), lambda line: None)
+    joined = SensorSelection(carried.archive, TARGET, TARGET)
+    ways = ("ridge",) if run.quick else None
+    one = Request(joined, folder / "model", ways=ways, device=run.device)
+    run_choice(one, carried_labels(carried, SOURCE), lambda line: None)
     run.progress(0.9)
     count = 4 if run.quick else SKINS
     run.seeds, run.spread = (SEED,), f"{count} skins; one training"
-    frames = new_frames(request.model, request.target)
+    frames = new_frames(one.out, target)
     own, stiffness = (
         float(archive.attrs["plan"]["sensors"][0]["body"]["modulus"])
         for archive in (archives[TARGET], archives[SOURCE])
     )
-    pressed = force_depth(archives[TARGET], request.model)
+    pressed = force_depth(archives[TARGET], one.out)
     ratios = sorted(WITHIN ** np.random.default_rng(SEED).uniform(-1, 1, count))
     return {
         "skins": [of_skin(ratio, ratio * stiffness / own, frames, *pressed) for ratio in ratios]

@@ -75,7 +75,12 @@ def candidates_of(sensor: ArchivedSensor, source: Presses | None = None) -> tupl
         Candidate("mean", "the mean of the labels", form, "mean"),
         Candidate("ridge", f"ridge regression on 11 statistics of {seen}", form, "statistics"),
         Candidate("cells", f"ridge regression on {seen} in 8 x 8 cells", form, "grid"),
-        Candidate("kernel", "the same, with the likeness to learned frames", form, "kernel"),
+        Candidate(
+            "kernel",
+            f"{seen} in cells, and likeness to learned frames",
+            form,
+            "kernel",
+        ),
     ]
     if not masks:
         return *ways, Candidate("net", f"a net on {seen}", form, preset="shading")

@@ -1,4 +1,4 @@
-"""`tactile force` for a sensor with labels: the ways are compared, and the chosen one delivered."""
+"""`tactile force`: ways to a sensor's labels are compared, and the chosen one is delivered."""
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from learning.choice.candidates import Candidate, Frames, candidates_of, with_codes
+from learning.choice.candidates import Candidate, candidates_of, with_codes
 from learning.choice.nested import FEWEST, Choice, Fold, Labelled, choose, contained
 from learning.config import require_same
 from learning.data.matching import SensorSelection
 from learning.data.presses import Presses, load_presses
 from learning.errors import LearningError
+from learning.evaluation.predictions import TARGET
 from learning.force.calibrate import IntervalCalibration, largest, scale_of_twin, shapes
 from learning.force.export import export_onnx
 from learning.force.intervals import (
@@ -27,12 +27,13 @@ from learning.force.intervals import (
     fit_errors,
     learned_within,
 )
-from learning.force.labels import LabelSource, label_source
+from learning.force.labels import TWIN, LabelSource, Relabelling, label_source
 from learning.force.made_for import metadata_of
 from learning.force.model import AXES, KIND, ForceModel
 from learning.metrics import axis_means
 from learning.training.checkpoint import MODEL, Config, code_version, save_weights
-from learning.transfer.deliver import calibration_picture
+from learning.transfer.carry import Carried
+from learning.transfer.deliver import CARD, CHOICE, calibration_picture, scale_line
 from recorder.archive import archive_fingerprint
 from recorder.pages import render
 from recorder.progress import ItemProgress
@@ -40,18 +41,16 @@ from recorder.store import replace_file
 
 Floats = NDArray[np.float64]
 Say = Callable[[str], None]
-# Card and picture in the folder of the model; folder of what was learned on the way.
-CARD, PICTURE, STEPS = "card.md", "forces.png", "steps"
+# Picture in the folder of the model; folder of what was learned on the way.
+PICTURE, STEPS = "forces.png", "steps"
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A sensor whose frames have labels, and where its model goes."""
+    """A sensor whose forces are wanted, and where its model goes."""
 
     sensor: SensorSelection
     out: Path
-    labels: str | None = None
-    """As `label_source` names them: a CSV, `twin`; None: the archive's."""
     source: SensorSelection | None = None
     """Another sensor with labels, from which nets may start."""
     ways: tuple[str, ...] | None = None
@@ -62,11 +61,48 @@ class Request:
     device: str = "cpu"
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Origin:
+    """Labels of the sensor's frames, and what is known of them."""
+
+    labels: LabelSource
+    scale: Scale
+    errors_from: str = "its own labels"
+    method: str = TARGET
+    """Method of evaluations that such a model has."""
+    source: str = ""
+    """Sensor of the labels, if it is another one."""
+    factor: float = 1.0
+    """Factor on the labels that is assumed."""
+
+
+def own_labels(one: Request, csv: Path | None) -> Origin:
+    """Return the labels of the sensor's archive, or of a CSV."""
+    name = None if csv is None else str(csv)
+    labels = label_source(name, one.sensor.archive, [one.sensor.sensor])
+    return Origin(labels, Scale(1.0, "its labels are taken as true", assumed=False))
+
+
+def twin_labels(one: Request) -> Origin:
+    """Return the forces of the sensor's twin as labels."""
+    labels = label_source(TWIN, one.sensor.archive, [one.sensor.sensor])
+    rows = labelled_rows(one, labels)
+    scale = scale_of_twin(one.sensor.archive[one.sensor.sensor], rows)
+    return Origin(labels, scale, f"forces of {labels.data[0]}")
+
+
+def carried_labels(carried: Carried, source: str) -> Origin:
+    """Return the labels that another sensor has at the same places."""
+    forces = carried.forces
+    labels = LabelSource(Relabelling(lambda rows, *_: forces[rows]), (carried.method,))
+    text = f"{source}'s labels at the same place"
+    return Origin(labels, carried.scale, text, carried.method, source, carried.factor)
+
+
 def labelled_rows(one: Request, labels: LabelSource) -> NDArray[np.int64]:
     """Return the rows of all presses of usable indenters that have a label (n,)."""
     archive = one.sensor.archive
-    sensor = archive[one.sensor.sensor]
-    table = sensor.table
+    table = archive[one.sensor.sensor].table
     usable = table["valid"] & (table["location"] >= 0)
     if one.unseen is None:
         usable &= table["seen"]
@@ -82,27 +118,24 @@ def labelled_rows(one: Request, labels: LabelSource) -> NDArray[np.int64]:
     return rows[np.isin(table["location"][rows], pressed)]
 
 
-def indenters_labelled(one: Request) -> int:
+def indenters_labelled(one: Request, labels: LabelSource) -> int:
     """Return the number of indenters under which the sensor has labels."""
-    archive = one.sensor.archive
-    source = label_source(one.labels, archive, [one.sensor.sensor])
-    rows = labelled_rows(one, source)
-    return len(np.unique(archive[one.sensor.sensor].table["indenter"][rows]))
+    rows = labelled_rows(one, labels)
+    return len(np.unique(one.sensor.archived.table["indenter"][rows]))
 
 
-def run_choice(one: Request, say: Say = print) -> Intervals:
+def run_choice(one: Request, origin: Origin, say: Say = print) -> Intervals:
     """Compare the ways, train the chosen one, and write its folder; continue what was stopped.
 
     Raises:
         LearningError: Labels on fewer than two indenters, or other data than the folder begins
             with.
     """
-    archive, name = one.sensor.archive, one.sensor.sensor
-    source = label_source(one.labels, archive, [name])
+    archive, source = one.sensor.archive, origin.labels
     rows = labelled_rows(one, source)
     steps = one.out / STEPS
     steps.mkdir(parents=True, exist_ok=True)
-    data = " ".join([archive_fingerprint(archive), name, *source.data])
+    data = " ".join([archive_fingerprint(archive), one.sensor.sensor, *source.data])
     require_same(
         steps / "choice.json",
         {
@@ -127,13 +160,18 @@ def run_choice(one: Request, say: Say = print) -> Intervals:
     table = [*table_of(choice, ways, labels, names)]
     say("\n".join(f"{way:10s} {mean:7.3f}  {worst}" for way, _, mean, worst in table))
     chosen = next(way for way in ways if way.name == choice.name)
-    calibration = _calibrated(one, source, presses, labels, choice)
+    calibration = _calibrated(one, origin, presses, labels, choice)
     say(f"chosen: {chosen.name} ({chosen.about}), trained on all {len(labels.codes)} indenters")
     with ItemProgress(f"training {chosen.name}", sys.stderr) as progress:
         progress(0, 1)
         model = chosen.train(frames[chosen.form], one.seed, frozenset())
-    _write(one, data, chosen, model, frames, rows, choice, calibration, table, labels)
-    for line in lines_of(choice, labels, calibration.intervals, names):
+    model.low.mul_(origin.factor)
+    model.high.mul_(origin.factor)
+    lines = [*lines_of(choice, labels, calibration.intervals, names)]
+    card = {"table": table, "lines": lines, "scale": scale_line(origin.scale)}
+    settings = chosen.settings(model, one.seed, frames[chosen.form])
+    _write(one, origin, data, chosen, model, settings, rows, calibration, card)
+    for line in (*lines, scale_line(origin.scale)):
         say(line)
     return calibration.intervals
 
@@ -165,32 +203,24 @@ def _frames(one: Request, source: LabelSource, rows: NDArray[np.int64], form: An
 
 
 def _calibrated(
-    one: Request, source: LabelSource, presses: Presses, labels: Labelled, choice: Choice
+    one: Request, origin: Origin, presses: Presses, labels: Labelled, choice: Choice
 ) -> IntervalCalibration:
     """Return the intervals of the chosen way, by its errors on indenters that were left out."""
     archive = one.sensor.archive
-    sensor, rows = archive[one.sensor.sensor], presses.rows.numpy()
     names = np.array(archive.indenters)[labels.indenter]
-    scale = Scale(1.0, "its labels are taken as true", assumed=False)
-    errors_from = "its own labels, each indenter left out"
-    if source.own_twin:
-        scale = scale_of_twin(sensor, rows)
-        errors_from = f"forces of {source.data[0]}, each indenter left out"
+    seen = shapes(archive[one.sensor.sensor], presses.rows.numpy())
+    known = np.isfinite(labels.forces).any(axis=1)
     intervals = Intervals(
         axes=fit_errors(choice.left_out, labels.forces, names),
-        scale=scale,
+        scale=origin.scale,
         largest=largest(labels.forces),
-        learned=_learned(
-            shapes(sensor, rows), labels.indenter, [fold for fold, _ in choice.by_fold]
-        ),
-        frames=int(np.isfinite(labels.forces).any(axis=1).sum()),
+        learned=_learned(seen, labels.indenter, [fold for fold, _ in choice.by_fold]),
+        frames=int(known.sum()),
         indenters=tuple(sorted(set(names.tolist()))),
-        errors_from=errors_from,
-    )
-    known = np.isfinite(labels.forces).any(axis=1)
-    return IntervalCalibration(
-        intervals, choice.left_out[known], labels.forces[known], names[known]
-    )
+        errors_from=f"{origin.errors_from}, each indenter left out",
+    ).rescaled(origin.factor, origin.scale)
+    left_out, forces = (origin.factor * each[known] for each in (choice.left_out, labels.forces))
+    return IntervalCalibration(intervals, left_out, forces, names[known])
 
 
 def _learned(values: Floats, indenter: NDArray[np.int64], folds: list[Fold]) -> LearnedShapes:
@@ -284,41 +314,37 @@ def lines_of(
 
 def _write(
     one: Request,
+    origin: Origin,
     data: str,
     way: Candidate,
     model: ForceModel,
-    frames: Frames,
+    settings: dict[str, Any],
     rows: NDArray[np.int64],
-    choice: Choice,
     calibration: IntervalCalibration,
-    table: list[tuple[str, str, float, str]],
-    labels: Labelled,
+    card: dict[str, Any],
 ) -> None:
     """Write the folder of the model; its weights come last."""
     archive, out = one.sensor.archive, one.out
-    seen = sorted(set(calibration.intervals.indenters))
+    seen = list(calibration.intervals.indenters)
     metadata = {
         **metadata_of(archive, {one.sensor.sensor: rows}),
-        "choice": {"way": way.name, "about": way.about, "seen": seen},
+        "method": origin.method,
+        CHOICE: {"way": way.name, "about": way.about, "seen": seen, "source": origin.source},
     }
-    settings = way.settings(model, one.seed, frames[way.form])
     for name in ("model.onnx", f"{MODEL}.safetensors"):
         (out / name).unlink(missing_ok=True)
     Config(KIND, settings, data, code_version(), metadata, step=0).write(out)
     calibration.intervals.write(out)
     replace_file(out / PICTURE, calibration_picture(calibration))
-    with torch.no_grad():
-        difference = export_onnx(model, out / "model.onnx")
-    card = render(
+    text = render(
         Path(__file__).with_name(CARD),
         sensor=one.sensor.sensor,
         way=way,
-        table=table,
-        lines=[*lines_of(choice, labels, calibration.intervals, archive.indenters)],
         intervals=calibration.intervals,
         archive=archive.name,
-        difference=difference,
+        difference=export_onnx(model, out / "model.onnx"),
         seed=one.seed,
+        **card,
     )
-    replace_file(out / CARD, card.encode())
+    replace_file(out / CARD, text.encode())
     save_weights(model, out / f"{MODEL}.safetensors")

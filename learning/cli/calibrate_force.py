@@ -14,13 +14,13 @@ GRAVITY = 9.80665
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
-        "Sets the scale of a model that `tactile force --source` made. Lay weights on the sensor "
+        "Sets the scale of a model that `tactile force` made. Lay weights on the sensor "
         "one after another, in the order of --weights, and lift each off, while `tactile live "
         "--model MODEL --out holds.csv` runs; each hold of contact is one weight. Or name frames "
         "of an archive, in which a weight rests: --archive with --rows."
     )
     add = parser.add_argument
-    add("model", type=Path, metavar="MODEL", help="of `tactile force --source`")
+    add("model", type=Path, metavar="MODEL", help="of `tactile force`")
     about = "masses, in the order in which they were laid on"
     add("--weights", type=weights, required=True, metavar="50g,100g,...", help=about)
     about = "mass of what each of them stands on (0g)"

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from learning.cli.archive_join import add_tolerances, chosen_sensors, only_sensor, tolerances_of
-from learning.command import add_settings
 from learning.errors import LearningError
 from recorder.command_line.options import (
     add_device,
@@ -22,7 +21,7 @@ from recorder.command_line.options import (
 )
 
 if TYPE_CHECKING:
-    from learning.choice.run import Request
+    from learning.choice.run import Origin, Request
 
 # Origins of the labels, the best first.
 OWN, TWIN, SOURCE = "own", "twin", "source"
@@ -59,15 +58,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--unseen", type=names_or_none, metavar="NAME,...", help=about)
     add("--explain", action="store_true", help="print the way, and its results in the experiments")
     add_seed(parser)
-    group = parser.add_argument_group("from another sensor")
-    add = group.add_argument
-    add(
-        "--source-model",
-        type=Path,
-        metavar="MODEL",
-        help="use this force model of the source, such as an imported one of the authors, in place "
-        "of training one; it has seen all indenters that it was trained on elsewhere",
-    )
+    add = parser.add_argument_group("from another sensor").add_argument
     add(
         "--priors",
         type=Path,
@@ -75,7 +66,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="PATH",
         help="force-depth curves: sessions of `tactile force-depth`, a folder of published "
-        "coefficients, or the target's archive if it has such presses (none: scale assumed)",
+        "coefficients, or the sensor's archive if it has such presses (none: scale assumed, unless "
+        "both archives have forces of twins)",
     )
     about = "labels of the source, as readings typed in, in place of those of its archive"
     add("--source-labels", type=Path, metavar="CSV", help=about)
@@ -88,10 +80,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="true forces are assumed to be within 1/K and K times the predicted ones, at 90 %% "
         "(2; with force-depth curves of both skins 1.25)",
     )
-    about = "indenters that calibrate the intervals, then are trained on (a quarter)"
-    add("--calibrate-on", type=names, metavar="NAME,...", help=about)
     add_tolerances(parser)
-    add_settings(parser, "transfer")
     add_device(parser)
     parser.add_argument("--out", type=Path, metavar="MODEL", help="folder of the model")
 
@@ -99,91 +88,104 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def make_model(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from learning.choice.evidence import LABELS, lines_of_way
-    from learning.choice.run import Request, run_choice
+    from learning.choice.run import Request, own_labels, run_choice, twin_labels
 
     if options.scale_within is not None and not 1 < options.scale_within < math.inf:
         raise LearningError(f"--scale-within: found {options.scale_within}; allowed: above 1")
-    sensor = only_sensor("--sensor", [*chosen_sensors(options.sensor)])
-    source = None
-    if options.source is not None:
-        source = only_sensor("--source", [*chosen_sensors(options.source)])
     request = Request(
-        sensor=sensor,
+        sensor=only_sensor("--sensor", [*chosen_sensors(options.sensor)]),
         out=options.out or Path(),
-        labels=options.labels and str(options.labels),
-        source=source,
+        source=options.source and only_sensor("--source", [*chosen_sensors(options.source)]),
         ways=options.ways and tuple(options.ways),
         unseen=None if options.unseen is None else tuple(options.unseen),
         seed=options.seed,
         device=options.device,
     )
-    by = options.by or best_of(request)
-    request = replace(request, labels=TWIN) if by == TWIN else request
-    print("\n".join(lines_of_way(by) if options.explain else [f"{sensor.name}: by {LABELS[by]}"]))
+    by = options.by or best_of(request, options.labels)
+    name = request.sensor.sensor
+    print("\n".join(lines_of_way(by) if options.explain else [f"{name}: by {LABELS[by]}"]))
     if options.explain:
         return 0
     if options.out is None:
         raise LearningError("--out: missing; allowed: the folder of the model, or --explain")
-    before = None
-    if by == SOURCE:
-        before = _from_source(request, options)
+    if by == OWN:
+        origin = own_labels(request, options.labels)
+    elif by == TWIN:
+        origin = twin_labels(request)
     else:
-        run_choice(request, lambda line: print(line, flush=True))
-    print(f"{options.out}: model, ONNX, intervals; {options.out / 'card.md'}: card")
-    print(f"next: {next_command('live', sensor=sensor.name, model=options.out, before=before)}")
+        request, origin = _from_source(request, options)
+    run_choice(request, origin, lambda line: print(line, flush=True))
+    out = options.out
+    if by == SOURCE and options.labels is not None:
+        out = _scaled(options)
+    print(f"{out}: model, ONNX, intervals; {out / 'card.md'}: card")
+    print(f"next: {next_command('live', sensor=name, model=out)}")
     return 0
 
 
-def best_of(request: Request) -> str:
+def _scaled(options: argparse.Namespace) -> Path:
+    """Write the model with the scale of a few labels of its sensor; return its folder."""
+    from learning.data.labels import read_labels
+    from learning.transfer.scale import scaled_by_labels
+
+    out: Path = options.out / "scaled"
+    if out.exists():
+        shutil.rmtree(out)
+    sensor = only_sensor("--sensor", [*chosen_sensors(options.sensor)])
+    labels = read_labels(options.labels, sensor.archive, sensor.sensor)
+    print(scaled_by_labels(options.out, out, labels, sensor.archived))
+    return out
+
+
+def best_of(request: Request, labels: Path | None) -> str:
     """Return the best origin of labels that a request has (`learning.choice.evidence`).
 
     Raises:
         LearningError: It has none.
     """
     from learning.choice.nested import FEWEST
-    from learning.choice.run import indenters_labelled
+    from learning.choice.run import indenters_labelled, own_labels
 
-    count = indenters_labelled(request)
+    count = indenters_labelled(request, own_labels(request, labels).labels)
     if count >= FEWEST:
         return OWN
-    if request.sensor.archive[request.sensor.sensor].simulated is not None:
+    if request.sensor.archived.simulated is not None:
         return TWIN
     if request.source is not None:
         return SOURCE
     if count > 1:
         return OWN
     raise LearningError(
-        f"--sensor: found labels of {request.sensor.name} on {count} indenters and no twin's "
+        f"--sensor: found labels of {request.sensor.sensor} on {count} indenters and no twin's "
         "forces; allowed: labels on two indenters or more, --twin TWIN.yaml, or --source of a "
         "sensor with labels"
     )
 
 
-def _from_source(request: Request, options: argparse.Namespace) -> Path:
-    """Carry a model over from another sensor; return the folder of the other's own model."""
-    from learning.config import read_settings
-    from learning.experiment.settings import PRESETS, ExperimentSettings
-    from learning.transfer.run import TransferRequest, run_transfer
+def _from_source(request: Request, options: argparse.Namespace) -> tuple[Request, Origin]:
+    """Carry labels over from another sensor; return the request for the joined archive."""
+    from learning.choice.run import carried_labels
+    from learning.data.matching import SensorSelection
+    from learning.transfer.carry import CarryRequest, carry
 
     if request.source is None:
         raise LearningError("--source: missing; allowed: another sensor with labels")
-    transfer = TransferRequest(
-        source=request.source,
-        target=request.sensor,
-        out=request.out / "steps",
-        settings=read_settings(ExperimentSettings, PRESETS, options.preset, options.set),
-        source_model=options.source_model,
-        priors=tuple(options.priors),
-        labels=options.labels,
-        source_labels=options.source_labels,
-        ratio=options.force_ratio,
-        within=options.scale_within,
-        calibrate_on=options.calibrate_on and tuple(options.calibrate_on),
-        unseen=request.unseen,
-        tolerances=tolerances_of(options),
-        device=options.device,
+    carried = carry(
+        CarryRequest(
+            source=request.source,
+            target=request.sensor,
+            out=request.out / "steps",
+            priors=tuple(options.priors),
+            source_labels=options.source_labels,
+            ratio=options.force_ratio,
+            within=options.scale_within,
+            unseen=request.unseen,
+            tolerances=tolerances_of(options),
+        ),
+        lambda line: print(line, flush=True),
     )
-    run_transfer(transfer, lambda line: print(line, flush=True))
-    for file in (*sorted(transfer.model.iterdir()), transfer.out / "report.html"):
-        shutil.copyfile(file, request.out / file.name)
-    return transfer.before
+    name = request.sensor.name
+    origin = carried_labels(carried, request.source.name)
+    return replace(
+        request, sensor=SensorSelection(carried.archive, name, name), source=None
+    ), origin

@@ -163,8 +163,7 @@ def _origin(
             f"--sensor: found {sensor!r}; allowed: {target!r}, as the model was trained on frames "
             "translated to it"
         )
-    provenance = {**metadata, **metadata.get("transfer", {})}
     usual_method = "transferred" if to else "target" if source == sensor else "source-only"
-    method, translator = provenance.get("method", usual_method), provenance.get("translator", "")
+    method, translator = metadata.get("method", usual_method), metadata.get("translator", "")
     translator = translator or ("unknown" if to else "")
     return sensor, {"source": source, "method": method, "translator": translator}

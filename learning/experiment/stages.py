@@ -5,9 +5,8 @@ Each result is a file; existing ones are read, not made again.
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
-from json import dumps
 from pathlib import Path
 from typing import Any
 
@@ -326,29 +325,6 @@ class Experiment:
         ]
 
     # Force models and their predictions.
-
-    def adopt(self, sensor: str, folder: Path) -> ExperimentSettings:
-        """Store a finished force model as that of a sensor; return settings with its network."""
-        model = load_force_model(folder)
-        parts = {"network": asdict(model.network), "input": asdict(model.inputs)}
-        changed = [
-            f"{key}.{name}={dumps(value)}"
-            for key, part in parts.items()
-            for name, value in part.items()
-        ]
-        force = replace(self.settings.force, set=(*self.settings.force.set, *changed))
-        self.settings = replace(self.settings, force=force)
-        name = f"force-{sensor}"
-        run = self._open(name, self._force_settings(), sensor)
-        if not run.finished:
-            run.finish(0, {"model": model})
-        own = load_force_model(self.places.model(name)).state_dict()
-        if not all(torch.equal(own[key], one) for key, one in model.state_dict().items()):
-            raise LearningError(
-                f"{self.places.model(name)}: found another model of {sensor}; allowed: the same, "
-                "or another folder"
-            )
-        return self.settings
 
     def _predicted(
         self,

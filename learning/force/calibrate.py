@@ -1,7 +1,6 @@
 """Intervals of a force model, from frames of indenters that it did not learn from."""
 
 import math
-import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,22 +8,17 @@ from numpy.typing import NDArray
 
 from learning.compensation.simulated import twin_forces
 from learning.data.presses import Presses, load_presses
-from learning.errors import LearningError
 from learning.force.intervals import (
-    FEWEST,
     NORMAL,
     SHAPE,
     Intervals,
     Scale,
-    fit_errors,
-    fit_learned,
     shapes_of,
     shapes_of_shading,
 )
 from learning.force.model import ForceModel
-from recorder.archive import SHADING, ArchivedSensor, MarkerArchive
+from recorder.archive import SHADING, ArchivedSensor
 from recorder.markers import unpack
-from recorder.progress import ItemProgress
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -41,67 +35,11 @@ class IntervalCalibration:
 
     intervals: Intervals
     predicted: Floats
-    """Forces (n, 3) that the model predicts on frames of the calibrating indenters [N]."""
+    """Forces (n, 3) by models that had not seen the indenter [N]; NaN on axes without a label."""
     expected: Floats
-    """Forces that they are compared with (n, 3) [N]."""
+    """Labels that they are compared with (n, 3) [N]; NaN without one."""
     indenter: NDArray[np.str_]
     """Indenter of each (n,)."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ExpectedForces:
-    """Forces that those of a model are compared with."""
-
-    forces: Floats
-    """For all rows of a sensor's table (n, 3) [N]; NaN where none is known."""
-    source: str
-    """Name of these forces."""
-    scale: Scale
-    """Knowledge of the factor between them and the true ones."""
-    learned: Floats
-    """Forces learned from (m, 3) [N]; NaN where an axis has none."""
-
-
-def calibrated(
-    archive: MarkerArchive,
-    sensor: str,
-    model: ForceModel,
-    expected: ExpectedForces,
-    *,
-    calibrates: Mask,
-    learned: Mask,
-) -> IntervalCalibration:
-    """Return the intervals of a model of a sensor, by comparison with expected forces.
-
-    Rows of its table (n,) that calibrate are disjoint from those that the model learned from.
-    """
-    own = archive[sensor]
-    names = np.array(archive.indenters)[own.table["indenter"]]
-    valid = (own.table["location"] >= 0) & own.table["valid"]
-    with ItemProgress("forces that calibrate", sys.stderr) as progress:
-        presses = presses_of_rows(own, np.flatnonzero(calibrates & valid), model)
-        predicted = model.predict(presses, progress=progress)
-    used = presses.rows.numpy()
-    labelled = np.isfinite(expected.forces[used]).any(axis=1)
-    indenters = tuple(sorted({str(name) for name in names[used]}))
-    axes = fit_errors(predicted, expected.forces[used], names[used])
-    if all(axis is None for axis in axes):
-        raise LearningError(
-            f"{', '.join(indenters)}: {len(used)} frames of {sensor}, fewer than {FEWEST} of which "
-            f"have a force on any axis by {expected.source}; allowed: more places"
-        )
-    intervals = Intervals(
-        axes=axes,
-        scale=expected.scale,
-        largest=largest(expected.learned),
-        learned=fit_learned(shapes(own, np.flatnonzero(learned & valid)), shapes(own, used)),
-        frames=int(labelled.sum()),
-        indenters=indenters,
-        errors_from=expected.source,
-    )
-    return IntervalCalibration(
-        intervals, predicted[labelled], expected.forces[used][labelled], names[used][labelled]
-    )
 
 
 def scale_of_twin(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Scale:

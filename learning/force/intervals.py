@@ -335,15 +335,6 @@ _KEPT = 1000
 _RIDGE, _LEAST = 1e-3, 1e-8
 
 
-def fit_learned(learned: Floats, held_out: Floats) -> LearnedShapes:
-    """Return what was learned, with the limit that flags about 1 % of a new indenter's frames.
-
-    Of the shapes learned from (n, 7) 1,000 are kept. The limit is the ceil(0.99 (m + 1))-th
-    smallest distance of those of indenters that were held out (m, 7), or the largest.
-    """
-    return learned_within(learned, [(learned, held_out)])
-
-
 def learned_within(learned: Floats, pairs: Sequence[tuple[Floats, Floats]]) -> LearnedShapes:
     """Return what was learned (n, 7), with a limit by pairs of learned and held-out shapes.
 

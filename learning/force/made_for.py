@@ -109,11 +109,12 @@ def origin_of(model: str | os.PathLike[str]) -> str:
     """
     folder = Path(model)
     metadata = read_config(folder).metadata if (folder / CONFIG).is_file() else {}
-    transfer = metadata.get("transfer")
-    way = f"labels of {transfer['source']}" if transfer else metadata.get("choice", {}).get("about")
+    choice = metadata.get("choice", {})
+    way = str(choice.get("about", ""))
+    way += f", by labels of {choice['source']}" if choice.get("source") else ""
     intervals = read_intervals(folder)
     if not way or intervals is None:
-        return way or ""
+        return way
     errors = [
         f"{axis} +- {error.base:.2f} N +- {100 * error.slope:.0f} %"
         for axis, error in zip(("Fx", "Fy", "Fz"), intervals.axes, strict=True)

@@ -1,4 +1,4 @@
-"""First stage: presses of source and target in one archive, without the target's labels, split."""
+"""Presses of source and target in one archive, without the target's labels; labels by place."""
 
 import sys
 from collections.abc import Mapping
@@ -11,18 +11,14 @@ from numpy.typing import NDArray
 from learning.data.join import join
 from learning.data.labels import read_labels
 from learning.data.matching import SensorSelection, Tolerances
-from learning.data.splits import Split, make_split, presses_of, read_split
-from learning.errors import LearningError
 from recorder import MarkerArchive
-from recorder.archive import ArchivedSensor, press_rows
+from recorder.archive import press_rows
 from recorder.progress import ItemProgress
 from recorder.spec import PHASES
 
 Floats = NDArray[np.float64]
 
 _NORMAL = (PHASES.index("normal_inc"), PHASES.index("normal_dec"))
-# Share of the indenters seen that calibrate: a quarter.
-_CALIBRATE = 4
 # Largest difference of progress by which a frame is beyond those of the other sensor.
 _BEYOND = 0.02
 
@@ -63,62 +59,6 @@ def _without_labels(target: SensorSelection, *, keep_curve: bool) -> Floats:
         curve = table["location"] < 0
         wrench[curve] = table["wrench"][curve]
     return wrench
-
-
-def split_pair(
-    archive: MarkerArchive, source: str, path: Path, calibrate_on: tuple[str, ...] | None, seed: int
-) -> tuple[Split, tuple[str, ...]]:
-    """Write the roles of presses, or read them; return them with the indenters that calibrate.
-
-    Neither these nor the archive's unseen indenters are trained on. Where `calibrate_on` names no
-    indenters, a quarter calibrates, from soft to hard contacts.
-    """
-    sensor = archive[source]
-    peaks = _peaks(archive, sensor)
-    if calibrate_on is None:
-        if len(peaks) < 2:
-            raise LearningError(
-                f"{archive.name}: found {len(peaks)} labelled indenters of {source} that may be "
-                "learned from; allowed: 2 or more, as one calibrates the intervals "
-                "(--source-labels CSV: readings typed in)"
-            )
-        ranked = sorted(peaks, key=lambda name: (peaks[name], name))
-        count = max(1, round(len(ranked) / _CALIBRATE))
-        indices = ((2 * np.arange(count) + 1) * len(ranked)) // (2 * count)
-        calibrate_on = tuple(ranked[index] for index in indices)
-    for name in calibrate_on:
-        if name not in peaks:
-            raise LearningError(
-                f"--calibrate-on: found {name!r}; allowed: {', '.join(sorted(peaks))}"
-            )
-    if not set(peaks) - set(calibrate_on):
-        raise LearningError(
-            f"--calibrate-on: found all of {', '.join(sorted(peaks))}; allowed: some, as the model "
-            "is trained on the others"
-        )
-    if path.exists():
-        split = read_split(path)
-        split.check(archive)
-        return split, calibrate_on
-    held_out = {name for name, _ in presses_of(archive).values()} - set(peaks) | set(calibrate_on)
-    split = make_split(
-        archive, validation=0.0, new_press=0.0, unseen=tuple(sorted(held_out)), seed=seed
-    )
-    split.write(path)
-    return split, calibrate_on
-
-
-def _peaks(archive: MarkerArchive, sensor: ArchivedSensor) -> dict[str, float]:
-    """Return the largest force of each indenter that may be learned from [N]."""
-    table = sensor.table
-    rows = table["valid"] & (table["location"] >= 0) & table["seen"]
-    force = np.abs(table["wrench"][:, :3])
-    peaks: dict[str, float] = {}
-    for code in np.unique(table["indenter"][rows]):
-        some = force[rows & (table["indenter"] == code)]
-        if np.isfinite(some).any():
-            peaks[archive.indenters[int(code)]] = float(np.nanmax(some))
-    return peaks
 
 
 def labels_by_place(

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from learning.data.labels import Labels
 from learning.errors import LearningError
+from learning.force.calibrate import presses_of_rows
 from learning.force.intervals import Intervals, Scale, ScaleSample, measured_scale, read_intervals
 from learning.force.loading import load_force_model
-from learning.metrics import force_errors, spread_and_range
-from learning.transfer.by_place import forces_at
-from learning.transfer.deliver import deliver, lines_of, read_card
-from recorder.archive import MarkerArchive
+from learning.force.model import ForceModel
+from learning.transfer.deliver import learned_indenters, rescale, scale_line
+from recorder.archive import ArchivedSensor, MarkerArchive
 
 Floats = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ def weigh(
         raise LearningError(
             f"--weights: found {len(weights)}, and {len(predicted)} forces; allowed: one each"
         )
-    card = read_card(model_folder, intervals)
+    learned_indenters(model_folder)
     axis = intervals.axes[2]
     samples = [
         ScaleSample(-weight, force, axis.base + axis.slope * abs(force))
@@ -57,14 +57,10 @@ def weigh(
     value, scale = measured_scale(samples, intervals.scale, text)
     for one in samples:
         yield f"weight {-one.true:.3f} N: predicted {-one.predicted:.3f} N before"
-    done = replace(
-        card,
-        intervals=intervals.rescaled(value, scale),
-        history=(*card.history, f"{text}: factor {value:.3f}"),
-    )
-    deliver(model_folder, out, done, value)
+    scale = replace(scale, source=f"{text}: factor {value:.3f}")
+    rescale(model_folder, out, value, intervals.rescaled(value, scale))
     yield f"factor {value:.3f}"
-    yield from lines_of(done)
+    yield scale_line(scale)
     if scale.factor > 0.8 * (intervals.scale.factor - 1.0) + 1.0:
         yield (
             "the weights hardly narrow the scale: they are light beside the model's error of "
@@ -117,6 +113,19 @@ def forces_of_rows(model_folder: Path, named: str, rows: Sequence[int]) -> list[
     return fz
 
 
+def forces_at(
+    sensor: ArchivedSensor, rows: Sequence[int] | NDArray[np.int64], model: ForceModel
+) -> Floats:
+    """Return the forces that a model predicts in some rows (n, 3) [N], from their whole presses."""
+    table = sensor.table
+    keys = np.stack([table[name] for name in ("location", "indenter", "target")], axis=1)
+    pressed = np.unique(keys[rows], axis=0)
+    whole = (keys[:, None] == pressed[None]).all(axis=-1).any(axis=1) & table["valid"]
+    presses = presses_of_rows(sensor, np.flatnonzero(whole), model)
+    order = {row: index for index, row in enumerate(presses.rows.tolist())}
+    return model.predict(presses)[[order[int(row)] for row in rows]]
+
+
 def _read(path: Path) -> tuple[Floats, NDArray[np.bool_]]:
     """Return Fz (n,) [N] and contact (n,)."""
     try:
@@ -150,13 +159,22 @@ def _spans(contact: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 # By a few labelled presses of the target, which measure the error as well.
 
-# Numbers of labelled presses whose errors the report lists.
-COUNTS = (0, 1, 5, 20, 100)
 # Labelled presses of an axis from which it has a gain of its own, as shear and pressing may
 # differ; below, all axes have the same. Offsets are not corrected: they would show without contact.
 GAINS_FROM = 5
 # Largest ratio of an axis's gain and the common one.
 _GAIN_MOST = 2.0
+
+
+def scaled_by_labels(model_folder: Path, out: Path, labels: Labels, sensor: ArchivedSensor) -> str:
+    """Write a model with the scale that a few labels of its sensor give; return a line about it."""
+    intervals = read_intervals(model_folder)
+    assert intervals is not None
+    predicted = forces_at(sensor, labels.rows, load_force_model(model_folder))
+    gains, scale, text = gains_of_labels(labels, predicted, intervals)
+    scale = replace(scale, source=text)
+    rescale(model_folder, out, gains.tolist(), intervals.rescaled(gains.tolist(), scale))
+    return scale_line(scale)
 
 
 def gains_of_labels(
@@ -168,34 +186,6 @@ def gains_of_labels(
     listed = ", ".join(f"{gain:.3f}" for gain in gains)
     factors = f"factors of Fx, Fy, Fz {listed}" if np.ptp(gains) else f"factor {gains[0]:.3f}"
     return gains, scale, f"{text}: {factors}"
-
-
-def error_curve(labels: Labels, predicted: Floats, intervals: Intervals) -> list[dict[str, str]]:
-    """Return errors on a third of the labelled presses, after 0, 1, 5, 20 and 100 of the others."""
-    held = max(1, labels.presses // 3)
-    if labels.presses < 2:
-        return []
-    tested = labels.press >= labels.presses - held
-    spread, _ = spread_and_range(labels.forces)
-    lines = []
-    for count in [n for n in COUNTS if n <= labels.presses - held]:
-        gains = np.ones(3) if not count else _gains(labels, predicted, intervals, count, "")[0]
-        errors = force_errors(labels.forces[tested], gains * predicted[tested], spread)
-        lines.append(
-            {
-                "labelled presses": str(count),
-                "factor": " ".join(
-                    f"{gain:.3f}" for gain in (gains if np.ptp(gains) else gains[:1])
-                ),
-                **{
-                    f"MAE {axis} [N]": f"{mae:.3f}" if np.isfinite(mae) else "-"
-                    for axis, mae in zip(("Fx", "Fy", "Fz"), errors.mae, strict=False)
-                },
-                f"R2{errors.of_axes}": f"{errors.r2_mean:.3f}",
-                "tested presses": str(held),
-            }
-        )
-    return lines
 
 
 def _gains(

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from support.made_up_archives import State, mask_of
 
-from learning.force.intervals import FLAGGED, LearnedShapes, fit_learned, shapes_of
+from learning.force.intervals import FLAGGED, LearnedShapes, learned_within, shapes_of
 
 DEEPEST_MM, SHEAR_MM = 1.5, 0.6
 
@@ -40,7 +40,7 @@ def rest(sensor: str) -> NDArray[np.bool_]:
 def learned() -> LearnedShapes:
     seen = [frames(width, seed=width) for width in (60, 75, 90, 105, 120)]
     held_out = [frames(width, seed=width) for width in (70, 110)]
-    return fit_learned(np.concatenate(seen), np.concatenate(held_out))
+    return learned_within(np.concatenate(seen), [(np.concatenate(seen), np.concatenate(held_out))])
 
 
 @pytest.mark.parametrize("width", [65, 85, 100])
@@ -69,17 +69,17 @@ def test_most_frames_of_another_sensor_are_flagged(learned: LearnedShapes, senso
 def test_the_limit_flags_one_percent_of_the_frames_held_out() -> None:
     random = np.random.default_rng(0)
     seen, held_out = random.normal(size=(2000, 7)), random.normal(size=(2000, 7))
-    found = fit_learned(seen, held_out)
+    found = learned_within(seen, [(seen, held_out)])
     assert found.is_far(held_out).mean() == pytest.approx(FLAGGED, abs=1e-3)
     assert found.is_far(random.normal(size=(5_000, 7))).mean() == pytest.approx(FLAGGED, abs=5e-3)
     # Of fewer than 99 frames the farthest is the limit.
-    assert not fit_learned(seen, held_out[:50]).is_far(held_out[:50]).any()
+    assert not learned_within(seen, [(seen, held_out[:50])]).is_far(held_out[:50]).any()
 
 
 def test_a_number_that_never_varied_is_far_as_soon_as_it_does() -> None:
     seen = np.random.default_rng(0).normal(size=(200, 7))
     seen[:, 5] = 6.4
-    found = fit_learned(seen[:100], seen[100:])
+    found = learned_within(seen[:100], [(seen[:100], seen[100:])])
     other = seen[100:].copy()
     other[:, 5] = 6.5
     assert found.is_far(other).all()
