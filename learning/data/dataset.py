@@ -14,8 +14,9 @@ needed, and only some are kept open, so memory does not grow with their number.
 from __future__ import annotations
 
 import os
+import zlib
 from collections import OrderedDict
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -26,13 +27,18 @@ from torch import Tensor
 from torch.utils.data import Dataset, IterableDataset, default_collate, get_worker_info
 
 from learning.errors import LearningError
-from learning.indenters import UNSEEN
+from learning.indenters import NAMES, UNSEEN
+from learning.markers.recording import KINDS_OF_PLAN
 from recorder.archive import MarkerArchive, press_rows
 from recorder.catalogue import Catalogue
 from recorder.session import Session
 
 Sample = dict[str, Tensor]
-Part = Literal["train", "test"]
+Part = Literal["train", "val", "test"]
+Names = str | Collection[str]
+
+# One in about these many presses of seen indenters is of `val`.
+ONE_IN = 10
 
 # Where a DataLoader's workers put their batches.
 SHARED = "/dev/shm"
@@ -58,48 +64,79 @@ class TactileDataset(Dataset[Sample]):
         window: int = 16,
         *,
         split: Part | None = None,
-        unseen: Collection[str] = UNSEEN,
-        streams: Collection[str] | None = None,
+        unseen: Names = UNSEEN,
+        streams: Names | None = None,
         stride: int = 1,
+        sensor: Names = (),
+        indenter: Names = (),
+        mock: bool | None = None,
+        transform: Callable[[Sample], Sample] | None = None,
         storage_options: Mapping[str, Any] | None = None,
     ) -> None:
         """Find all windows; reads times, no images.
 
         Args:
             recordings: Sessions, folders of sessions, URLs of sessions that fsspec knows, or
-                `ARCHIVE.markers.zarr:SENSOR`.
+                `ARCHIVE.markers.zarr:SENSOR`. In folders, touches and taps of set-ups are left out.
             window: Number of rows.
-            split: `train` for indenters that are not in `unseen`, `test` for those that are; None
-                for all. Rows of one press are never in both.
-            unseen: Names of indenters.
-            streams: Columns to read; None for all of the first recording.
+            split: `test` for indenters in `unseen`; of others `val` for a tenth of the presses and
+                `train` for the rest; None for all. Rows of one press are never in two of them.
+            unseen: Names of indenters, or one name.
+            streams: Columns to read, or one; None for all of the first recording.
             stride: Rows from one window to the next.
+            sensor: Sensors to read; without it recordings of several sensors are an error.
+            indenter: Indenters to read; without it all.
+            mock: True for sessions of mock benches alone, False for those of others; None for all.
+            transform: Function of each sample, which the data set returns in place of it.
             storage_options: Options that fsspec needs to open URLs.
+
+        Raises:
+            LearningError: An unknown name, or no window that meets all conditions.
         """
-        if window < 1 or stride < 1:
-            raise LearningError(f"window, stride: found {window}, {stride}; allowed: 1 and more")
+        for key, value in (("window", window), ("stride", stride)):
+            if type(value) is not int or value < 1:
+                raise LearningError(f"{key}: found {value!r}; allowed: a whole number, 1 or more")
         if split not in (None, *get_args(Part)):
-            raise LearningError(f"split: found {split!r}; allowed: train, test, None")
-        self.window, self.storage_options = window, dict(storage_options or {})
-        self.streams = tuple(streams or ())
+            allowed = ", ".join(get_args(Part))
+            raise LearningError(f"split: found {split!r}; allowed: {allowed}, None")
+        self.window, self.transform = window, transform
+        self.storage_options = dict(storage_options or {})
+        self.streams = _names(streams or ())
         """Columns of every sample."""
         self._open: OrderedDict[str, _Recording] = OrderedDict()
-        self.paths = _recordings_in(recordings)
-        """Recordings with windows, in order."""
-        ends = []
-        for path in self.paths:
+        asked = {"sensor": _names(sensor), "indenter": _names(indenter), "unseen": _names(unseen)}
+        known: dict[str, set[str]] = {"sensor": set(), "indenter": set(), "unseen": set(NAMES)}
+        paths, ends, sensors, problem = _recordings_in(recordings), {}, set[str](), ""
+        for path in paths:
             one = self._recording(path)
+            known["sensor"].add(one.sensor)
+            known["indenter"].update(one.indenters.tolist())
+            if (sensor and one.sensor not in asked["sensor"]) or mock not in (None, one.mock):
+                continue
+            sensors.add(one.sensor)
             self.streams = self.streams or one.columns
-            ends.append(_chosen(one, path, window, stride, split, unseen))
-        with_windows = [number for number, rows in enumerate(ends) if len(rows)]
-        if not with_windows:
+            for name in set(self.streams) - set(one.columns):
+                problem = f"{path}: no column {name!r}; known: {', '.join(one.columns)}"
+            rows = _chosen(one, path, self.window, split, asked["unseen"], asked["indenter"])
+            ends[path] = rows[::stride]
+        if len(sensors) > 1 and not sensor:
+            listed = ", ".join(sorted(sensors))
+            problem = f"recordings: found sensors {listed}; allowed: one, or those of sensor=[...]"
+        known["unseen"] |= known["indenter"]
+        for key, choice in asked.items():
+            for name in set(choice) - known[key]:
+                problem = f"{key}: found {name!r}; known: {', '.join(sorted(known[key]))}"
+        if problem:
+            raise LearningError(problem)
+        self.paths = [path for path, rows in ends.items() if len(rows)]
+        """Recordings with windows, in order."""
+        if not self.paths:
             of_split = "" if split is None else f" of split {split!r}"
             raise LearningError(
-                f"recordings: found no window of {window} rows{of_split} in {len(self.paths)} "
-                f"recordings; unseen indenters: {', '.join(sorted(unseen))}"
+                f"recordings: found no window of {window} rows{of_split} in {len(ends)} of "
+                f"{len(paths)} recordings; unseen indenters: {', '.join(sorted(asked['unseen']))}"
             )
-        self.paths = [self.paths[number] for number in with_windows]
-        self._ends = [ends[number] for number in with_windows]
+        self._ends = [ends[path] for path in self.paths]
         self._until = np.cumsum([len(rows) for rows in self._ends])
 
     def __len__(self) -> int:
@@ -113,21 +150,17 @@ class TactileDataset(Dataset[Sample]):
         within = number - (int(self._until[of - 1]) if of else 0)
         end = int(self._ends[of][within])
         columns = self._recording(self.paths[of]).window(end, self.window)
-        missing = [name for name in self.streams if f"{name}_valid" not in columns]
-        if missing:
-            available = ", ".join(name for name in columns if f"{name}_valid" in columns)
-            raise LearningError(f"{self.paths[of]}: no column {missing[0]!r}; known: {available}")
         valid = np.logical_and.reduce([columns[f"{name}_valid"] for name in self.streams])
         names = [*self.streams, *(f"{name}_valid" for name in self.streams)]
         if "t_ns" in columns:
             names.append("t_ns")
         sample = {name: torch.from_numpy(np.ascontiguousarray(columns[name])) for name in names}
-        return {
-            **sample,
+        sample |= {
             "valid": torch.from_numpy(valid),
             "recording": torch.tensor(of),
             "row": torch.tensor(int(columns["row"])),
         }
+        return sample if self.transform is None else self.transform(sample)
 
     def __getitems__(self, items: list[int]) -> list[Sample]:
         """Return the windows of a batch; a worker refuses one that `/dev/shm` has no room for."""
@@ -204,7 +237,7 @@ def _require_room(samples: list[Sample], workers: int) -> None:
     It keeps two batches of each worker in advance.
     """
     disk = os.statvfs(SHARED)
-    batch = sum(tensor.nbytes for sample in samples for tensor in sample.values())
+    batch = sum(getattr(value, "nbytes", 0) for sample in samples for value in sample.values())
     if 2 * workers * batch > (room := disk.f_blocks * disk.f_frsize):
         raise LearningError(
             f"{SHARED}: has {room / 1e6:.0f} MB; {workers} workers with batches of "
@@ -218,28 +251,32 @@ class _OfSession:
 
     def __init__(self, path: str, storage_options: Mapping[str, Any]) -> None:
         self.session = Session(path, storage_options=storage_options or None)
-        frames = self.session.require_frames()
-        self._t_ns, self._run = np.asarray(frames["t_ns"]), np.asarray(frames["run"])
+        self.sensor = str(self.session.attrs.get("sensor") or "")
+        self.mock = bool(self.session.attrs.get("mock", False))
         self.columns = tuple(
             column
             for name, column in self.session.columns.items()
             if self.session.streams[name].traits.kind != "events"
         )
-
-    def indenters(self) -> NDArray[np.str_]:
+        frames = self.session.require_frames()
+        self._t_ns, self._run = np.asarray(frames["t_ns"]), np.asarray(frames["run"])
+        self.presses = np.asarray(frames["target"], np.int64)
         name = self.session.attrs.get("indenter") or ""
-        return np.full(len(self._t_ns), str(name))
+        self.indenters = np.full(len(self._t_ns), str(name))
 
-    def whole(self, rows: int) -> NDArray[np.bool_]:
-        begin = np.zeros(len(self._run), np.int64)
-        for run in np.unique(self._run):
-            begin[self._run == run] = self._t_ns[self._run == run].min()
+    def begins(self, rows: int) -> NDArray[np.int64]:
+        begins = np.full(len(self._run), -1)
         length = (rows - 1) * 1e9 / self.session.rate_hz
-        # Ticks are rounded to nanoseconds.
-        return np.asarray(self._t_ns - begin >= length - 1e3)
+        for run in np.unique(self._run):
+            own = np.flatnonzero(self._run == run)
+            t_ns = self._t_ns[own]
+            # Ticks are rounded to nanoseconds.
+            first = np.searchsorted(t_ns, t_ns - length - 1e3)
+            begins[own] = np.where(t_ns - length + 1e3 >= t_ns[0], own[first], -1)
+        return begins
 
     def window(self, end: int, rows: int) -> dict[str, NDArray[Any]]:
-        window = self.session.window(int(self._t_ns[end]), rows, run=int(self._run[end]))
+        window = self.session.window(row=end, n=rows)
         values: dict[str, NDArray[Any]] = {"t_ns": window.t_ns, "row": np.array(end)}
         for name, aligned in window.streams.items():
             if aligned.value is None:
@@ -257,23 +294,23 @@ class _OfArchive:
     """Windows of a sensor in a marker archive, each within one press."""
 
     columns: tuple[str, ...] = ("image", "wrench")
+    mock = False
 
     def __init__(self, path: str) -> None:
         archive_path, _, name = path.rpartition(":")
         archive = MarkerArchive(archive_path)
         if name not in archive:
             raise LearningError(f"{path}: no such sensor; allowed: {', '.join(archive)}")
-        self._sensor, self._names = archive[name], np.array(archive.indenters)
+        self.sensor, self._sensor, names = name, archive[name], np.array(archive.indenters)
         presses = list(press_rows(self._sensor.table).values())
         none = np.zeros(0, np.int64)
         self._rows = np.concatenate([none, *presses])
         self._before = np.concatenate([none, *(np.arange(len(press)) for press in presses)])
+        self.presses = self._sensor.table["location"][self._rows].astype(np.int64)
+        self.indenters = np.asarray(names[self._sensor.table["indenter"][self._rows]])
 
-    def indenters(self) -> NDArray[np.str_]:
-        return np.asarray(self._names[self._sensor.table["indenter"][self._rows]])
-
-    def whole(self, rows: int) -> NDArray[np.bool_]:
-        return np.asarray(self._before >= rows - 1)
+    def begins(self, rows: int) -> NDArray[np.int64]:
+        return np.where(self._before >= rows - 1, np.arange(len(self._before)) - rows + 1, -1)
 
     def window(self, end: int, rows: int) -> dict[str, NDArray[Any]]:
         chosen = self._rows[end - rows + 1 : end + 1]
@@ -307,7 +344,8 @@ def _recordings_in(recordings: str | Path | Iterable[str | Path]) -> list[str]:
         catalogue = Catalogue(inside)
         catalogue.refresh()
         # Those that cannot be read are refused when they are opened.
-        paths += sorted(str(inside / row.path) for row in catalogue)
+        rows = [row for row in catalogue if row.plan in ("", *KINDS_OF_PLAN)]
+        paths += sorted(str(inside / row.path) for row in rows)
     return paths
 
 
@@ -316,16 +354,38 @@ def _is_sensor(path: str) -> bool:
     return "://" not in path and ":" in Path(path).name and not Path(path).exists()
 
 
+def _names(names: Names) -> tuple[str, ...]:
+    return (names,) if isinstance(names, str) else tuple(names)
+
+
 def _chosen(
-    one: _Recording, path: str, rows: int, stride: int, split: Part | None, unseen: Collection[str]
+    one: _Recording,
+    path: str,
+    rows: int,
+    split: Part | None,
+    unseen: Collection[str],
+    indenter: Collection[str],
 ) -> NDArray[np.int64]:
-    """Return the last rows of the windows of one part (n,)."""
-    wanted = one.whole(rows)
+    """Return the last rows of the windows of one part (n,), of some indenters or all."""
+    begins, names = one.begins(rows), one.indenters
+    wanted = begins >= 0
+    if indenter:
+        wanted &= np.isin(names, list(indenter))
     if split is not None:
-        names = one.indenters()
         if (names == "").any():
             raise LearningError(
                 f"{path}: names no indenter, by which it could be in one part; allowed: split=None"
             )
         wanted &= np.isin(names, list(unseen)) == (split == "test")
-    return np.flatnonzero(wanted)[::stride]
+    if split in ("train", "val"):
+        until = np.r_[0, np.cumsum(_validation(names, one.presses))]
+        ends = np.arange(1, len(until))
+        wanted &= until[ends] - until[begins] == (ends - begins if split == "val" else 0)
+    return np.flatnonzero(wanted)
+
+
+def _validation(names: NDArray[np.str_], presses: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which rows (n,) are of presses of `val`; they stay so as data grow."""
+    keys = (f"{name} {press}" for name, press in zip(names, presses, strict=True))
+    codes = np.fromiter((zlib.crc32(key.encode()) for key in keys), np.int64)
+    return np.asarray((codes % ONE_IN == 0) & (presses >= 0))

@@ -6,11 +6,12 @@ from typing import Literal
 
 from learning.config import require
 from learning.errors import LearningError
+from learning.plugins import plugin_names
 
 # Folder of the presets of this package.
 PRESETS = Path(__file__).parent / "presets"
 
-TranslatorName = Literal["flow", "field", "diffusion"]
+TRANSLATORS = ("flow", "field", "diffusion")
 # Kinds of labels: label-free by formulae, by twins, or by the target's labels.
 Compensated = Literal["compensated", "priors", "simulated", "oracle"]
 
@@ -30,7 +31,8 @@ class ExperimentSettings:
     """Models of an experiment, and amount of data."""
 
     description: str
-    translators: tuple[TranslatorName, ...]
+    translators: tuple[str, ...]
+    """Of ours, and of installed packages by their names (`learning.plugins`)."""
     force: ModelChoice
     """Force model trained on the source's own frames."""
     fine_tuning: tuple[str, ...]
@@ -59,9 +61,11 @@ class ExperimentSettings:
     """Seed of the split, of the choice of presses, and of each training whose `set` has none."""
 
     def __post_init__(self) -> None:
-        if not self.translators or len(set(self.translators)) != len(self.translators):
+        offered, named = (*TRANSLATORS, *plugin_names()), set(self.translators)
+        if not named or len(named) != len(self.translators) or not named <= set(offered):
             raise LearningError(
-                f"translators: found {self.translators}; allowed: flow, field, diffusion, each once"
+                f"translators: found {', '.join(self.translators)}; allowed: {', '.join(offered)}, "
+                "each once"
             )
         require(self, "validation", "new_press", least=0, below=1)
         require(self, "train_presses", "models_per_batch", least=1)

@@ -105,7 +105,7 @@ def translator_training(
     experiment: ExperimentSettings, name: str, *changed: str
 ) -> tuple[Callable[..., None], Any] | None:
     """Return what trains a translator in a folder, and its settings; None: it needs no training."""
-    if name == FLOW:
+    if name not in ("field", "diffusion"):
         return None
     train_in: Callable[..., None] = field_training.train_in
     presets = field_training.PRESETS
@@ -277,7 +277,8 @@ class Experiment:
         self, source: str, name: str
     ) -> tuple[list[Predictions], list[TranslationScores]]:
         """Fine-tune models on a source's translated frames; predict targets, score translations."""
-        folder: str | Path = name if name == FLOW else self.places.model(name)
+        trained = translator_training(self.settings, name) is not None
+        folder: str | Path = self.places.model(name) if trained else name
         translator = NamedTranslator(
             load_translator(folder, self.device), name, hash_of(folder), str(self.device)
         )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from recorder.on_demand import imports_on_demand
 
 if TYPE_CHECKING:
+    from learning.force.authors import import_force_weights as import_force_weights
     from learning.force.export import export_onnx as export_onnx
     from learning.force.live import open_live as open_live
     from learning.force.loading import load_force_model as load_force_model

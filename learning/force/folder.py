@@ -1,43 +1,43 @@
-"""Folder of a force model: a path, a web address, or the name of an installed one."""
+"""Folder of a force model: a path, a URL, or the name of an installed one."""
 
 import os
 import tempfile
-import urllib.error
-import urllib.request
 from pathlib import Path, PurePosixPath
 from urllib.parse import urlsplit
 
 from learning import published
 from learning.errors import LearningError
 from learning.plugins import plugin_names
+from recorder.errors import SessionError
+from recorder.store import is_url, locate
 
-# Folder that models of web addresses are copied to, below the working directory.
+# Folder that models of URLs are copied to, below the working directory.
 COPIES = Path("models")
 # Files of a model: those that it must have, and those that it may have.
 REQUIRED = ("config.yaml", "model.safetensors")
 OPTIONAL = ("model.onnx", "intervals.json", "card.md")
-# Largest file of a web address [B].
-FILE_BYTES = 1 << 33
 _SOURCE = "copied-from"
-_TIMEOUT_S = 30.0
 
 
 def model_folder(name: str | os.PathLike[str]) -> Path:
-    """Return the folder of a force model: a folder, the web address of one, or the `demo`.
+    """Return the folder of a force model: a folder, a URL, a file in either, or the `demo`.
 
-    A model of a web address is copied to `models/NAME` first, unless it is there. Weights are
-    safetensors, so no code in them runs.
+    A model of a URL is copied to `models/NAME` first, unless it is there. Weights are safetensors,
+    so no code in them runs.
     """
-    text = os.fspath(name)
-    if text.startswith(("http://", "https://")):
-        return _copied(text.rstrip("/"))
+    text = os.fspath(name).rstrip("/")
+    above, _, last = text.rpartition("/")
+    if last in (*REQUIRED, *OPTIONAL):
+        text = above or os.curdir
+    if is_url(text):
+        return _copied(text)
     installed = Path(published.__file__).parent / text
     for folder in (Path(text), installed):
         if folder.is_dir():
             return folder
     raise LearningError(
         f"model: found {text!r}; no such folder; allowed: the folder of a trained force model, its "
-        "web address, or demo"
+        "URL, or demo"
     )
 
 
@@ -74,12 +74,9 @@ def _copied(address: str) -> Path:
 def _read(address: str, *, optional: bool) -> bytes | None:
     """Return the file at an address; None if there is none and it is optional."""
     try:
-        with urllib.request.urlopen(address, timeout=_TIMEOUT_S) as reply:
-            data: bytes = reply.read(FILE_BYTES + 1)
-    except (OSError, urllib.error.URLError, ValueError) as error:
-        if optional and isinstance(error, urllib.error.HTTPError) and error.code == 404:
+        files, path = locate(address)
+        return files.read(path)
+    except (FileNotFoundError, SessionError) as error:
+        if optional and isinstance(error, FileNotFoundError):
             return None
-        raise LearningError(f"{address}: cannot be read: {error}") from None
-    if len(data) > FILE_BYTES:
-        raise LearningError(f"{address}: found more than {FILE_BYTES:,} bytes; allowed: that many")
-    return data
+        raise LearningError(f"{address}: cannot be read: {type(error).__name__}: {error}") from None

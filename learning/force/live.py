@@ -49,7 +49,7 @@ from learning.markers.segment import (
 )
 from learning.training.checkpoint import CONFIG, read_config
 from recorder.archive import SHADING, SHADING_ZERO
-from recorder.markers import count_markers, pack
+from recorder.markers import HEIGHT, WIDTH, count_markers, pack
 
 # Network inputs from a stream of masks: images or marker fields.
 
@@ -184,6 +184,8 @@ Frame = NDArray[Any]
 
 # Number of frames without contact for the reference.
 START_FRAMES = 10
+# Name in place of a preset's for frames that are masks.
+MASKS = "masks"
 _TAXELS = (16, 3)
 
 
@@ -216,7 +218,7 @@ class LivePredictor:
     def __init__(
         self,
         network: ForceStream,
-        chosen: Preset,
+        chosen: Preset | None,
         *,
         start_frames: int = START_FRAMES,
         intervals: Intervals | None = None,
@@ -225,9 +227,9 @@ class LivePredictor:
     ) -> None:
         """Create a predictor, which takes its reference from `start_frames` without contact.
 
-        The preset finds markers in pictures or draws them from taxels; `before` is the stream of
-        another model, whose forces are shown beside. `seen` is called with the
-        number of markers that are seen without contact.
+        The preset finds markers in pictures or draws them from taxels; without one, frames are
+        masks (480, 640). `before` is the stream of another model, whose forces are shown beside.
+        `seen` is called with the number of markers that are seen without contact.
         """
         if start_frames < 1:
             raise LearningError(f"start_frames: found {start_frames}; allowed: 1 or more")
@@ -237,7 +239,7 @@ class LivePredictor:
         self._preset, self._start_frames = chosen, start_frames
         self._seen = seen
         self._first: list[Frame] = []
-        self._contact: ContactDetector | None = None
+        self._contact: ContactDetector
         self._mask_of: MaskOf
         self._inputs: list[NetworkInput] = []
 
@@ -249,7 +251,7 @@ class LivePredictor:
     @property
     def reference(self) -> NDArray[Any] | None:
         """The mask without contact (480, 640), or shading without change; None until known."""
-        return None if self._contact is None else self._contact.reference
+        return self._contact.reference if self._inputs else None
 
     def begin(self, frames: NDArray[Any]) -> None:
         """Take the reference from frames without contact, and forget all earlier frames.
@@ -272,20 +274,35 @@ class LivePredictor:
 
         None while the reference is being taken.
         """
-        if self._contact is None:
+        if not self._inputs:
             self._first.append(np.array(frame))
             if len(self._first) >= self._start_frames:
                 self.begin(np.stack(self._first))
             return None
+        return self._predicted(frame)
+
+    def press(self, frames: NDArray[Any], times: int = 1) -> list[LiveForce]:
+        """Return the forces of the frames of one press, in order, each shown a number of times.
+
+        The press begins without contact; the state begins with it, and is kept to its end.
+        """
+        for network, network_input in zip(self._networks, self._inputs, strict=True):
+            network.reset()
+            network_input.restart()
+        return [self._predicted(frame, times) for frame in frames]
+
+    def _predicted(self, frame: Frame, times: int = 0) -> LiveForce:
+        """Predict the next frame of a press, shown some times, or with 0 of an endless stream."""
         mask = self._mask_of(frame)
         contact = self._contact.step(mask)
         forces: list[Triple] = []
         for network, network_input in zip(self._networks, self._inputs, strict=True):
-            if not contact:
+            if not (contact or times):
                 network.reset()
                 network_input.restart()
-            forces.append(_triple(network.step(network_input.of(mask))))
-        motion = self._contact.motion_px
+            for _ in range(times or 1):
+                force = network.step(network_input.of(mask))
+            forces.append(_triple(force))
         interval, outside = None, False
         if self.intervals is not None:
             predicted = np.array(forces[:1])
@@ -299,7 +316,7 @@ class LivePredictor:
             )
             outside = bool(self.intervals.is_outside(predicted, shape)[0])
         before = forces[1] if self.has_before else None
-        return LiveForce(forces[0], contact, motion, interval, outside, before)
+        return LiveForce(forces[0], contact, self._contact.motion_px, interval, outside, before)
 
 
 def _triple(values: NDArray[np.float64]) -> Triple:
@@ -316,14 +333,16 @@ def open_live(
     preset_name: str | None = None,
     met: Conditions | None = None,
     warn: Callable[[str], None] = lambda text: None,
+    network: ForceStream | None = None,
 ) -> LivePredictor:
     """Return the predictor of a finished force model, named as for `load_force_model`.
 
     `before` is another model, whose forces are shown beside. The runtime is that of an exported
     model, `torch`, or `auto`: ONNX Runtime if the model was exported, else torch. The preset of a
-    model of markers is that of the sensor, or `preset_name`, a name or a YAML file. `warn` is
+    model of markers is that of the sensor, by default the only one that it was made for, or
+    `preset_name`: a name, a YAML file, or `MASKS` for frames that are masks. `warn` is
     called with each difference between the sensor that it meets, `met`, and those that it was made
-    for.
+    for. `network` runs the model, if it is open.
 
     Raises:
         LearningError: The model or preset does not exist, the sensor has no preset, or its signal
@@ -332,6 +351,8 @@ def open_live(
     one_thread()
     folder = Path(model_name(os.fspath(model)))
     made = made_for(folder)
+    if sensor is None and len({one.sensor for one in made}) == 1:
+        sensor = made[0].sensor
     if met is not None:
         for text in differences(folder.name, made, met):
             warn(text)
@@ -340,10 +361,13 @@ def open_live(
         if text := other_pattern(folder.name, made, sensor or "", markers):
             warn(text)
 
-    network = _stream(folder, runtime)
+    network = network or _stream(folder, runtime)
+    chosen = None
+    if preset_name != MASKS:
+        chosen = preset(preset_name) if preset_name else _preset_for(network, sensor, folder)
     return LivePredictor(
         network,
-        preset(preset_name) if preset_name else _preset_for(network, sensor, folder),
+        chosen,
         intervals=read_intervals(folder),
         before=None if before is None else _stream(before, runtime),
         seen=seen,
@@ -371,7 +395,7 @@ def _preset_for(network: ForceStream, sensor: str | None, model: Path) -> Preset
             f"knows several: {', '.join(sorted(presets))}" if presets else "knows none"
         )
         raise LearningError(
-            f"--preset: missing: {reason}; allowed: the one that the sensor's markers were found "
+            f"preset: missing: {reason}; allowed: the one that the sensor's markers were found "
             f"with: {', '.join(names())}, or a .yaml file"
         )
     key_path = f"{model / CONFIG}.metadata.presets"
@@ -396,7 +420,9 @@ def _stream(name: str | os.PathLike[str], runtime: str) -> ForceStream:
 MaskOf = Callable[[Frame], Mask]
 
 
-def _masks(chosen: Preset, frames: NDArray[Any]) -> tuple[NDArray[Any], MaskOf]:
+def _masks(chosen: Preset | None, frames: NDArray[Any]) -> tuple[NDArray[Any], MaskOf]:
+    if chosen is None:
+        return frames, lambda frame: np.reshape(frame, (HEIGHT, WIDTH)) != 0
     if isinstance(chosen, ShadingPreset):
         return _shading(chosen, frames)
     if isinstance(chosen, CameraPreset):

@@ -1,5 +1,6 @@
 """Read-only access to a session. Takes no lock, changes nothing and never fills in values."""
 
+import operator
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -390,36 +391,55 @@ class Session:
 
     def window(
         self,
-        t_ns: int,
-        n: int,
+        t_ns: int | None = None,
+        n: int = 1,
         *,
+        row: int | None = None,
         align: Mapping[str, str] | None = None,
         rate_hz: float | None = None,
         run: int | None = None,
     ) -> Window:
-        """Return the last `n` synchronised rows at a time, as a live program would have seen them.
+        """Return `n` synchronised rows up to a time, as a live program would have seen them.
 
         Args:
             t_ns: Tick of the last row [ns]; the others lie before it, one period apart.
             n: Number of rows.
+            row: Row of `frames` that is the last one, in place of `t_ns`; -1 is that at the end.
             align: Methods by stream in place of its own alignment: `latest` or `nearest`, of
                 numbers also `interpolated`, and `mean` if they are no poses.
             rate_hz: Rate of the rows; the session's if None.
             run: Run of whose clock `t_ns` is; determined from the samples if None.
 
         Raises:
-            SessionError: An unknown stream or method, or a corrupt stream.
+            SessionError: No samples at that time, an unknown stream or method, a corrupt stream.
         """
-        ticks = ticks_before(t_ns, n, rate_hz or self.rate_hz)
-        of_run = self.run_at(t_ns) if run is None else run
+        if (t_ns is None) == (row is None):
+            raise SessionError(f"window: found t_ns {t_ns}, row {row}; allowed: one of them")
+        if row is not None:
+            frames = self.require_frames()
+            t_ns, run = frames["t_ns"][row], int(frames["run"][row])
+        end = operator.index(t_ns or 0)
+        ticks = ticks_before(end, operator.index(n), rate_hz or self.rate_hz)
+        of_run = self.run_at(end) if run is None else run
         sources = sources_near(self.run_streams(of_run), ticks) if n > 0 else self.sources(of_run)
         rows = align_window(ticks, sources, align)
+        if row is None and n > 0 and not rows.valid.any():
+            self._require_samples(of_run, ticks)
         images = {
             name: replace(aligned, value=self._pixels(name, aligned.row))
             for name, aligned in rows.streams.items()
             if aligned.row is not None and self.streams[name].layout.image is not None
         }
         return replace(rows, streams={**rows.streams, **images})
+
+    def _require_samples(self, run: int, ticks: Times) -> None:
+        """Reject ticks that all lie outside of a run, such as the index of a row."""
+        span = span_of_run(self.run_streams(run))
+        if span is not None and not (ticks[0] <= span[1] and span[0] <= ticks[-1]):
+            raise SessionError(
+                f"t_ns: found {ticks[-1]}; run {run} has samples from {span[0]} to {span[1]} [ns]; "
+                "allowed: such a time, or row=... for a row of frames"
+            )
 
     def _pixels(self, name: str, rows: NDArray[np.int64]) -> Array:
         """Return the images of some rows (n, h, w, channels); zeros for row -1."""

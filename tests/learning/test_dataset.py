@@ -68,6 +68,76 @@ def test_parts_have_different_indenters(sessions: Path) -> None:
     assert sum(len(each) for each in parts.values()) == len(TactileDataset(sessions, ROWS))
 
 
+def test_a_string_is_one_name_and_an_unknown_one_is_refused(sessions: Path) -> None:
+    kept = TactileDataset(sessions, ROWS, split="train", unseen="sphere", streams="wrench")
+    assert [Path(path).stem for path in kept.paths] == ["b", "c"]
+    assert kept.streams == ("wrench",)
+    chosen = TactileDataset(sessions, ROWS, indenter=["prism", "torus"], sensor="wedge", mock=True)
+    assert [Path(path).stem for path in chosen.paths] == ["b", "c"]
+    for key, known in (("unseen", "wave"), ("indenter", "prism, sphere, torus"), ("sensor", "w")):
+        with pytest.raises(LearningError, match=rf"{key}: found 'sfere'; known: .*{known}"):
+            TactileDataset(sessions, ROWS, **{key: "sfere"})  # type: ignore[arg-type]
+    with pytest.raises(LearningError, match="no window of 6 rows in 0 of 3 recordings"):
+        TactileDataset(sessions, ROWS, mock=False)
+
+
+def test_sensors_are_not_mixed_and_presses_of_a_set_up_are_left_out(tmp_path: Path) -> None:
+    for name, attrs in (
+        ("data", {"plan": {"kind": "press_shear"}}),
+        ("touch", {"plan": {"kind": "touch"}}),
+        ("latency", {"plan": {"kind": "taps"}}),
+        ("other", {"sensor": "digit"}),
+    ):
+        path = make_session(tmp_path / f"{name}.zarr", seconds=1.2, names=("force",))
+        set_attrs(path, **attrs)
+        reseal(path)
+    with pytest.raises(LearningError, match=r"found sensors digit, wedge; allowed: one, or those"):
+        TactileDataset(tmp_path, 2)
+    assert [Path(path).stem for path in TactileDataset(tmp_path, 2, sensor="wedge").paths] == [
+        "data"
+    ]
+    assert len(TactileDataset(tmp_path, 2, sensor=["wedge", "digit"]).paths) == 2
+    # One that is named is read: it was asked for.
+    assert len(TactileDataset(tmp_path / "touch.zarr", 2)) > 0
+
+
+def test_val_has_whole_presses_that_train_has_no_row_of(
+    tmp_path: Path, archive: MarkerArchive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = make_session(tmp_path / "s.zarr", seconds=8.4, names=("force",))
+    frames = Session(path).frames
+    t_ns, target = np.asarray(frames["t_ns"]), np.asarray(frames["target"])
+    shown: dict[str, set[int]] = {}
+    for part in ("train", "val"):
+        times = [one["t_ns"] for one in TactileDataset(path, ROWS, split=part)]  # type: ignore[arg-type]
+        inside = [(t_ns >= int(of[0]) - 1000) & (t_ns <= int(of[-1])) for of in times]
+        shown[part] = set(target[np.any(inside, axis=0)].tolist())
+    assert shown["val"] == {4}
+    assert shown["train"] == {0, 1, 2, 3}
+    monkeypatch.setattr(dataset, "ONE_IN", 3)
+    locations = []
+    for sensor in ("dots", "grid"):
+        parts = [
+            TactileDataset(f"{archive.path}:{sensor}", 3, split=part, unseen="cone")
+            for part in ("train", "val", "test")
+        ]
+        of = archive[sensor].table["location"]
+        locations.append([{int(of[int(one["row"])]) for one in part} for part in parts])
+        assert sum(map(len, parts)) == len(TactileDataset(f"{archive.path}:{sensor}", 3))
+    assert locations[0] == locations[1]
+    assert all(locations[0])
+    assert not locations[0][0] & locations[0][1]
+
+
+def test_a_transform_is_applied_to_each_sample(sessions: Path) -> None:
+    windows = TactileDataset(
+        sessions, ROWS, transform=lambda sample: {"fz": sample["wrench"][-1, 2]}
+    )
+    fz = TactileDataset(sessions, ROWS)[3]["wrench"][-1, 2]
+    assert windows[3] == {"fz": fz}
+    assert next(iter(DataLoader(windows, batch_size=4)))["fz"].shape == (4,)
+
+
 @pytest.mark.parametrize("workers", [0, 2])
 def test_batches_of_an_epoch_are_the_same_for_any_workers_and_go_on_where_they_stopped(
     sessions: Path, workers: int
@@ -121,16 +191,17 @@ def test_windows_of_an_archive_stay_within_a_press(archive: MarkerArchive) -> No
 
 
 def test_what_makes_no_sense_is_refused(sessions: Path, tmp_path: Path) -> None:
-    with pytest.raises(LearningError, match="window, stride: found 0, 1; allowed: 1 and more"):
-        TactileDataset(sessions, 0)
-    with pytest.raises(LearningError, match="split: found 'new'; allowed: train, test, None"):
+    for wrong in (0, 2.5, True, "3"):
+        with pytest.raises(LearningError, match=rf"window: found {wrong!r}; allowed: a whole num"):
+            TactileDataset(sessions, wrong)  # type: ignore[arg-type]
+    with pytest.raises(LearningError, match="split: found 'new'; allowed: train, val, test, None"):
         TactileDataset(sessions, split="new")  # type: ignore[arg-type]
-    with pytest.raises(LearningError, match="found no window of 999 rows in 3 recordings"):
+    with pytest.raises(LearningError, match="found no window of 999 rows in 3 of 3 recordings"):
         TactileDataset(sessions, 999)
     with pytest.raises(LearningError, match=r"nowhere: no such folder; allowed: sessions"):
         TactileDataset(tmp_path / "nowhere")
     with pytest.raises(LearningError, match=r"no column 'taxels'; known: image, wrench, pose"):
-        TactileDataset(sessions, ROWS, streams=["taxels"])[0]
+        TactileDataset(sessions, ROWS, streams=["taxels"])
     with pytest.raises(LearningError, match="size, first: found 0, 0"):
         TactileDataset(sessions, ROWS).batches(0)
     nameless = make_session(tmp_path / "12:30 n.zarr", seconds=0.9, names=("force",))

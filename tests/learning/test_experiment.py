@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from support.force_models import TINY_FORCE
+from support.foreign_model import installed
 from support.made_up_archives import archive_of, made_up_archive, write_twin
 
 from learning.config import preset_names, read_settings
@@ -43,6 +44,7 @@ SMALL = (TINY_FORCE, "fine_tuning=[]", "scored_presses=0", "compensation=[compen
 
 
 archive = archive_of(targets=3, force_depth=2)
+foreign = installed()
 
 
 def settings(*changed: str) -> ExperimentSettings:
@@ -66,6 +68,14 @@ def done(
     with pytest.MonkeyPatch.context() as patch:
         undrawn(patch)
         return out, run(archive, out)
+
+
+def test_a_translator_of_another_package_is_in_the_tables(
+    archive: MarkerArchive, tmp_path: Path, foreign: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    undrawn(monkeypatch)
+    run(archive, tmp_path / "out", "translators=[still]")
+    assert results(tmp_path / "out", "transferred.still").translator == "still"
 
 
 def results(out: Path, name: str) -> Predictions:

@@ -1,8 +1,10 @@
 """The contract of force models, which ours and one of another package keep."""
 
+import re
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -68,6 +70,19 @@ def trained(
     run = RunFolder.open(folder, KIND, settings, "noise")
     model = train_force(presses, settings, session(settings, run))
     return Trained(settings, presses, model, folder)
+
+
+def test_the_module_of_the_guide_is_a_force_model() -> None:
+    guide = (Path(__file__).parents[2] / "docs/reference/learning.md").read_text()
+    known: dict[str, Any] = {}
+    exec(re.findall(r"```python\n(.*?)```", guide, flags=re.S)[-1], known)
+    model: ForceModel = known["load"](None, "cpu")
+    settings = toy(network=model.network, input=model.inputs)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("learning.force.train.new_force_model", lambda *_: known["load"](None, "cpu"))
+        trained = train_force(noise_presses(), settings)
+    assert isinstance(trained.encoder[0], torch.nn.AvgPool2d)
+    assert np.isfinite(trained.predict(noise_presses())).all()
 
 
 def test_a_trained_model_opens_as_it_was(trained: Trained) -> None:

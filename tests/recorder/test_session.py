@@ -234,7 +234,26 @@ def test_a_window_holds_images_labels_ages_and_never_clips(recorded: Path) -> No
     assert not early.valid[missing].any()
     assert early.image[missing].max() == 0
     assert early.taxels is None
-    assert not session.window(T0 + 10**11, 4).valid.any()
+    last = len(session.frames["t_ns"]) - 1
+    by_row = [session.window(row=row, n=16).wrench for row in (last, -1)]
+    for rows in by_row:
+        np.testing.assert_array_equal(
+            rows, session.window(int(session.frames["t_ns"][last]), 16).wrench
+        )
+
+
+def test_a_row_is_never_taken_for_a_time(recorded: Path) -> None:
+    session = Session(recorded)
+    for time in (100, T0 + 10**11):
+        with pytest.raises(SessionError, match=rf"t_ns: found {time}; run 0 has samples from \d"):
+            session.window(time, 16)
+    with pytest.raises(IndexError, match="10000 is out of bounds"):
+        session.window(row=10000)
+    for given in ({}, {"t_ns": T0, "row": 3}):
+        with pytest.raises(SessionError, match="allowed: one of them"):
+            session.window(**given)
+    with pytest.raises(TypeError, match="integer"):
+        session.window(row=3, n=2.5)  # type: ignore[arg-type]
 
 
 def test_a_window_of_any_method_stays_near_its_samples(recorded: Path) -> None:

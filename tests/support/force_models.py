@@ -1,18 +1,20 @@
 """Small force models and random presses for tests."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import torch
 
-from learning.data.presses import Presses
-from learning.force.model import ForceNetworkSettings, InputSettings
+from learning.data.presses import ForceRange, Presses
+from learning.force.model import KIND, ForceModel, ForceNetworkSettings, InputSettings
 from learning.force.train import (
     ForceModelSettings,
     ForceStageSettings,
     OptimiserSettings,
     SequenceSettings,
 )
+from learning.training.run import RunFolder
 
 TOY = ForceModelSettings(
     description="a few thousand weights",
@@ -37,6 +39,19 @@ TINY_FORCE = (
 def toy(**changes: Any) -> ForceModelSettings:
     """Return the toy settings with some values replaced."""
     return replace(TOY, **changes)
+
+
+def random_model(folder: Path, form: str, preset: str, *, alone: bool = False) -> Path:
+    """Write the folder of a model with random weights, made for the markers of a preset."""
+    torch.manual_seed(0)
+    inputs = InputSettings(form=form, side_px=32, alone=alone)  # type: ignore[arg-type]
+    model = ForceModel(TOY.network, inputs)
+    model.set_range(ForceRange((-4.0, -4.0, -18.0), (4.0, 4.0, 1.0)))
+    sensor = "uskin" if preset == "uskin" else "gelsight"
+    metadata = {"sensors": [sensor], "presets": {sensor: preset}}
+    run = RunFolder.open(folder, KIND, toy(input=inputs), "random", metadata=metadata)
+    run.finish(0, {"model": model})
+    return folder
 
 
 def noise_presses(
