@@ -17,15 +17,17 @@ from support.tiny_diffusion import (
     tiny_settings,
     tiny_vae_settings,
     write_base,
+    write_judges,
 )
 
+from learning.config import read_settings
 from learning.data.images import shrink, unit
 from learning.data.pairs import paired_rows, read_paired
 from learning.data.splits import make_split, read_split
 from learning.errors import LearningError
 from learning.evaluation.distribution import load_extractor
 from learning.training.checkpoint import read_model_folder
-from learning.training.run import RunFolder
+from learning.training.run import METRICS, RunFolder
 from learning.translation import Translator, load_translator
 from learning.translation.diffusion import command
 from learning.translation.diffusion.network import (
@@ -34,9 +36,16 @@ from learning.translation.diffusion.network import (
     MarkerVae,
     build,
     load_vae,
+    rank_of,
     vae_adapter_of,
 )
 from learning.translation.diffusion.network import MARKER_VAE as VAE
+from learning.translation.diffusion.train import (
+    IMAGES_PER_S,
+    MEMORY_GIB,
+    PRESETS,
+    TranslatorSettings,
+)
 from learning.translation.diffusion.translator import DiffusionTranslator
 from learning.translation.diffusion.weights import BASE, base_of, fingerprint
 from recorder import MarkerArchive
@@ -169,6 +178,35 @@ def test_verbs_train_both_stages_and_resume(
     judged = [str(archive.path), *shared, *(f"--set={each}" for each in tiny)]
     with pytest.raises(LearningError, match="clip: found ''"):
         run(*judged, "--set=marker_vae.steps=0", "--out", str(tmp_path / "judged"))
+
+
+@pytest.mark.slow  # half a minute: 20 steps at 256 x 256, with all networks
+def test_the_published_losses_train_the_adapters_from_a_users_weights(
+    archive: MarkerArchive, tmp_path: Path
+) -> None:
+    base, out = write_base(tmp_path / "sd-turbo", DEEP_VAE), tmp_path / "m2m"
+    given = {"base": base, **write_judges(tmp_path), "out": out, "preset": "paper_main"}
+    options = [word for name, path in given.items() for word in (f"--{name}", str(path))]
+    few = ["steps=20", "batch=2", "log_every=1", "launch.device=cpu", "marker_vae.steps=0",
+           "optimiser.rate={kind: constant, rate: 0.02}", "sample_latents=false"]  # fmt: skip
+    sets = [f"--set={each}" for each in few]
+    assert run_module(command, str(archive.path), *options, *sets) == 0
+    lines = [json.loads(line) for line in (out / METRICS).read_text().splitlines()]
+    lines = [line for line in lines if "train/square" in line]
+    assert [line["step"] for line in lines] == [*range(1, 21)]
+    parts = ("train/square", "train/perceptual", "train/adversarial", "train/discriminator")
+    for name in (*parts, IMAGES_PER_S, MEMORY_GIB):
+        assert all(line[name] > 0 for line in lines), name
+    settings = read_settings(TranslatorSettings, PRESETS, "paper_main")
+    losses = settings.losses
+    assert (losses.adversarial, losses.perceptual, losses.square) == (0.5, 5.0, 1.0)
+    apart = [5.0 * line["train/perceptual"] + line["train/square"] for line in lines]
+    assert np.mean(apart[-5:]) < 0.98 * np.mean(apart[:5])
+    state = read_model_folder(out).weights()
+    for part, rank in (("unet.", settings.unet_rank), ("vae.", settings.vae_rank)):
+        assert rank_of({k: v for k, v in state.items() if k.startswith(part)}) == rank
+        moved = [v for k, v in state.items() if k.startswith(part) and ".lora_B." in k]
+        assert moved and all(bool(each.any()) for each in moved)
 
 
 @pytest.mark.slow
