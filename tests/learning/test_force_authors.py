@@ -11,11 +11,14 @@ from torch import Tensor, nn
 from learning.errors import LearningError
 from learning.force.authors import import_force_weights
 from learning.force.loading import load_force_model
-from learning.force.model import prepare
+from learning.force.model import ForceModel, prepare
+from learning.force.train import read_force_settings
 from tactile.__main__ import main
 
-# Widths of a small network of the same structure: those of theirs are 64, 96, 128; 128; 256, 512.
-WIDTHS, MEMORY, TAIL = (8, 12, 16), 16, (20, 24)
+# Widths of their encoder, memory and tail, and of a small network of the same structure.
+FULL, SMALL = ((64, 96, 128), 128, (256, 512)), ((8, 12, 16), 16, (20, 24))
+# Weights of their network.
+COUNT = 6_531_427
 
 
 class Block(nn.Module):
@@ -40,23 +43,23 @@ class Block(nn.Module):
 class Theirs(nn.Module):
     """The authors' network under the names of their checkpoints, with random weights."""
 
-    def __init__(self) -> None:
+    def __init__(self, widths: tuple[int, ...], memory: int, tail: tuple[int, ...]) -> None:
         super().__init__()
-        norm, before = nn.InstanceNorm2d, WIDTHS[0]
+        norm, before = nn.InstanceNorm2d, widths[0]
         parts: list[tuple[str, nn.Module]] = [("conv1", nn.Conv2d(3, before, 7, 2, 3))]
         parts += [("norm1", norm(before)), ("relu", nn.ReLU())]
-        for stage, width in enumerate(WIDTHS, 1):
+        for stage, width in enumerate(widths, 1):
             blocks = Block(before, width, min(stage, 2), norm), Block(width, width, 1, norm)
             parts.append((f"layer{stage}", nn.Sequential(*blocks)))
             before = width
         parts.append(("conv2", nn.Conv2d(before, before, 1)))
         self.base_network = nn.Sequential(OrderedDict(parts))
         names = ("convz", "convr", "convq")
-        gates = {name: nn.Conv2d(MEMORY + before, MEMORY, 3, 1, 1) for name in names}
+        gates = {name: nn.Conv2d(memory + before, memory, 3, 1, 1) for name in names}
         self.convgru = nn.ModuleDict({"layers": nn.ModuleList([nn.ModuleDict(gates)])})
-        sizes = pairwise((MEMORY, *TAIL))
+        sizes = pairwise((memory, *tail))
         self.post_processing = nn.Sequential(*(Block(*size, 2, nn.BatchNorm2d) for size in sizes))
-        self.reg_layer = nn.Sequential(nn.Linear(TAIL[-1], 3), nn.Sigmoid())
+        self.reg_layer = nn.Sequential(nn.Linear(tail[-1], 3), nn.Sigmoid())
         for name, value in self.post_processing.state_dict().items():
             if "norm" in name and value.ndim:
                 value.uniform_(0.5, 1.5)
@@ -65,7 +68,7 @@ class Theirs(nn.Module):
         """Return the normalised forces (s, 3) of frames (s, 3, 256, 256)."""
         gates = self.convgru["layers"][0]
         features = self.base_network(frames)
-        hidden, forces = torch.zeros(1, MEMORY, *features.shape[2:]), []
+        hidden, forces = torch.zeros(1, gates["convq"].out_channels, *features.shape[2:]), []
         for frame in features[:, None]:
             both = torch.cat([hidden, frame], 1)
             update, reset = gates["convz"](both).sigmoid(), gates["convr"](both).sigmoid()
@@ -76,9 +79,28 @@ class Theirs(nn.Module):
 
 
 @torch.no_grad()
+def test_their_preset_has_their_network_to_the_weight(tmp_path: Path) -> None:
+    theirs = Theirs(*FULL)
+    settings = read_force_settings("authors_code")
+    model = ForceModel(settings.network, settings.input)
+    for network in (theirs, model):
+        assert sum(each.numel() for each in network.parameters()) == COUNT
+    torch.save(theirs.state_dict(), tmp_path / "epoch_40.pth")
+    read = import_force_weights(tmp_path / "epoch_40.pth", tmp_path / "run")
+    assert read.network == settings.network
+    ours = dict(read.named_parameters())
+    assert {name: each.shape for name, each in model.named_parameters()} == {
+        name: each.shape for name, each in ours.items()
+    }
+    # Sums of all weights: none is left over, and none is read twice.
+    total = sum(float(each.double().sum()) for each in theirs.parameters())
+    assert sum(float(each.double().sum()) for each in ours.values()) == pytest.approx(total)
+
+
+@torch.no_grad()
 def test_a_model_of_the_authors_predicts_what_their_network_computes(tmp_path: Path) -> None:
     torch.manual_seed(0)
-    theirs = Theirs().eval()
+    theirs = Theirs(*SMALL).eval()
     state = theirs.state_dict()
     torch.save(state, tmp_path / "epoch_20.pth")
     command = ["import", str(tmp_path / "epoch_20.pth"), "--out", str(tmp_path / "run")]
@@ -94,9 +116,12 @@ def test_a_model_of_the_authors_predicts_what_their_network_computes(tmp_path: P
     del state["post_processing.0.conv1.bias"]
     torch.save(state, tmp_path / "less.pth")
     torch.save({"a": torch.zeros(1)}, tmp_path / "wrong.pth")
+    more = {**theirs.state_dict(), "reg_layer.2.weight": torch.zeros(1)}
+    torch.save(more, tmp_path / "more.pth")
     (tmp_path / "text.pth").write_text("x")
     for name, message in (
         ("less.pth", r"missing tail\.0\.branch\.0\.bias"),
+        ("more.pth", r"unexpected reg_layer\.2\.weight"),
         ("wrong.pth", "a force model of the authors' code"),
         ("text.pth", "is no file of weights"),
     ):

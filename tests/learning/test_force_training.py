@@ -2,14 +2,17 @@ import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 import torch
 from support.force_models import TOY, noise_presses, toy
+from support.simulated_archives import LAYER, make
 from support.training import session
 
-from learning.data.presses import AUTHORS, Presses
+from learning.data.presses import AUTHORS, Presses, load_presses
+from learning.data.splits import make_split
 from learning.errors import LearningError
 from learning.force import load_force_model
 from learning.force.batched import train_batched
@@ -18,6 +21,7 @@ from learning.force.model import KIND, ForceModel, InputSettings
 from learning.force.train import (
     ForceModelSettings,
     ForceStageSettings,
+    OptimiserSettings,
     Sequences,
     SequenceSettings,
     epoch,
@@ -26,12 +30,19 @@ from learning.force.train import (
     forces_of,
     frames_of,
     initial_model,
+    read_force_settings,
     superposed,
     train_force,
 )
-from learning.training.run import RunFolder
+from learning.metrics import r_squared
+from learning.training.run import METRICS, RunFolder
+from recorder import MarkerArchive
+from sim.dataset import DatasetPlan
+from sim.sensors import sensor
 from tests.support.few import few
 
+# The paper's optimiser.
+SGD = OptimiserSettings(name="sgd", weight_decay=0.0, clip=None)
 # All state that a run has to restore.
 EVERYTHING = toy(
     stages=(
@@ -109,6 +120,42 @@ def test_validation_keeps_the_best_weights_and_ends_a_stage() -> None:
     best = np.abs(predictor.predict(held) - held.wrench.numpy()).mean()
     endless = train_force(presses, replace(patient, patience_epochs=None))
     assert best <= np.abs(endless.predict(held) - held.wrench.numpy()).mean()
+
+
+def test_only_the_last_stage_ends_early() -> None:
+    # A rate so small that no weight changes: no validation is better than the first.
+    still = ForceStageSettings(epochs=4, learning_rate=1e-30)
+    settings = toy(stages=(still, still), patience_epochs=1, optimiser=SGD)
+    stages: list[float] = []
+    listening = Mock()
+    listening.latest.return_value = None
+    listening.log.side_effect = lambda step, line: stages.append(line["stage"])
+    watched = replace(session(settings), run=listening)
+    train_force(noise_presses(2), settings, watched, validation=HELD)
+    assert stages == [0, 0, 0, 0, 1, 1]
+
+
+@pytest.mark.slow  # two minutes: the paper's rate of 0.1 leaves its start after some 400 steps
+def test_the_papers_training_learns_at_a_quarter_of_the_width(tmp_path: Path) -> None:
+    plan = DatasetPlan("targets", (sensor("circle-i"),), solving=LAYER, fraction=0.05, steps=1)
+    make(tmp_path / "circle.markers.zarr", plan)
+    archive = MarkerArchive(tmp_path / "circle.markers.zarr")
+    shown, split = archive["circle-i"], make_split(archive)
+    train, held, unseen = (
+        load_presses(shown, split.rows(shown.table, role), device=torch.device("cpu"))
+        for role in ("train", "validation", "new_indenter")
+    )
+    preset = Path(__file__).parents[2] / "examples" / "demo-paper" / "quarter.yaml"
+    settings = read_force_settings(str(preset), ["input.side_px=32", "launch.device=cpu"])
+    run = _open(tmp_path / "run", settings)
+    model = train_force(train, settings, session(settings, run), validation=held)
+    lines = [json.loads(line) for line in (run.path / METRICS).read_text().splitlines()]
+    first = [line["loss"] for line in lines if line["stage"] == 0]
+    assert len(first) == settings.stages[0].epochs == 40
+    # Longer than the patience at its start, then down.
+    assert min(first[:5]) > 2 * first[-1]
+    r2 = r_squared(unseen.wrench.numpy(), model.predict(unseen))
+    assert r2.mean() > 0.5
 
 
 def test_starting_from_a_model_begins_with_its_weights() -> None:
