@@ -409,9 +409,9 @@ def train_force(
 
     Presses stay on their device; on the GPU that avoids a copy at every step. Without a session the
     training is in memory, on the device of the settings; a stop is looked for before every step,
-    training is then saved. Validation presses determine the end of the last stage and the weights to
-    keep; those of sensors without a label are left out. `start_from` is a model with the same network,
-    for the initial weights.
+    training is then saved. Validation presses determine the end of the last stage and the weights
+    to keep; those of sensors without a label are left out. `start_from` is a model with the same
+    network, for the initial weights.
     """
     session = session or TrainingSession(accelerator(settings.launch))
     run, runs_on, device = session.run, session.accelerator, session.device

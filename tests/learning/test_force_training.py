@@ -38,7 +38,7 @@ from learning.metrics import r_squared
 from learning.training.run import METRICS, RunFolder
 from recorder import MarkerArchive
 from sim.dataset import DatasetPlan
-from sim.sensors import sensor
+from sim.sensors import sensor as sensor_row
 from tests.support.few import few
 
 # The paper's optimiser.
@@ -137,7 +137,7 @@ def test_only_the_last_stage_ends_early() -> None:
 
 @pytest.mark.slow  # two minutes: the paper's rate of 0.1 leaves its start after some 400 steps
 def test_the_papers_training_learns_at_a_quarter_of_the_width(tmp_path: Path) -> None:
-    plan = DatasetPlan("targets", (sensor("circle-i"),), solving=LAYER, fraction=0.05, steps=1)
+    plan = DatasetPlan("targets", (sensor_row("circle-i"),), solving=LAYER, fraction=0.05, steps=1)
     make(tmp_path / "circle.markers.zarr", plan)
     archive = MarkerArchive(tmp_path / "circle.markers.zarr")
     shown, split = archive["circle-i"], make_split(archive)
