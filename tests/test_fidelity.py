@@ -7,17 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
 from learning.config import read_settings, settings_to_dict
 from learning.force import train as force
-from learning.translation.diffusion import train as translator
+from learning.translation.diffusion import train as diffusion
+from recorder.settings import Reader
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "reference" / "fidelity.md"
-PRESETS = {
+KINDS: dict[Path, Any] = {
     force.PRESETS: force.ForceModelSettings,
-    translator.PRESETS: translator.TranslatorSettings,
+    diffusion.PRESETS: diffusion.TranslatorSettings,
 }
 _LINK = re.compile(r"\]\(([^)#]+\.(?:yaml|py))\)")
 # `key = value` holds in each file of the row, `file.yaml key = value` in that one.
@@ -29,76 +29,51 @@ ROWS = [
 ]
 
 
-def _content(path: Path) -> Any:
-    """Return a module, the settings of a preset, or a YAML file over those that it extends."""
+def value(path: Path, key: str) -> str:
+    """Return a value of a module, a preset or a YAML file, as the page writes it."""
+    content: Any
     if path.suffix == ".py":
-        name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
-        return importlib.import_module(name)
-    if path.parent in PRESETS:
-        return settings_to_dict(read_settings(PRESETS[path.parent], path.parent, path.stem))
-    content = yaml.safe_load(path.read_text())
-    parent = content.pop("extends", None)
-    return _merged(_content(path.parent / parent), content) if parent else content
-
-
-def _merged(below: Any, above: Any) -> Any:
-    if not isinstance(below, dict) or not isinstance(above, dict):
-        return above
-    return below | {name: _merged(below.get(name), value) for name, value in above.items()}
-
-
-def _value(content: Any, key: str) -> Any:
+        content = importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
+    elif path.parent in KINDS:
+        content = settings_to_dict(read_settings(KINDS[path.parent], path.parent, path.stem))
+    else:
+        content = Reader(ValueError).read(path)
     for word in key.split("."):
         if isinstance(content, type) and is_dataclass(content):
             content = {each.name: each.default for each in fields(content)}
-        if isinstance(content, dict):
-            content = content[word]
-        elif isinstance(content, list | tuple):
-            content = content[int(word)]
+        if isinstance(content, dict | list | tuple):
+            content = content[word if isinstance(content, dict) else int(word)]
         else:
             content = getattr(content, word)
-    return content
-
-
-def _written(value: Any) -> str:
-    if isinstance(value, bool) or value is None:
-        return "none" if value is None else str(value).lower()
-    return str(value)
+    return str(content).lower() if content is None or isinstance(content, bool) else str(content)
 
 
 def wrong(line: str, files: list[Path]) -> list[str]:
-    """Return the values of a row that its files do not have, with those that they have."""
-    lines = []
-    for name, key, value in _BOUND.findall(line):
+    """Return the values that files have where a row says others, and YAML files never read."""
+    bound, lines = _BOUND.findall(line), []
+    for name, key, written in bound:
         chosen = [path for path in files if name in ("", path.name)]
-        assert chosen, f"{name}: not a file of the row {line[:40]}"
-        actual = {path.name: _written(_value(_content(path), key)) for path in chosen}
-        lines += [f"{path} {key} = {has}" for path, has in actual.items() if has != value]
-    return lines
+        has = {path.name: value(path, key) for path in chosen} or {name: "not linked"}
+        lines += [f"{file} {key} = {each}" for file, each in has.items() if each != written]
+    read = {name for name, _, _ in bound}
+    yaml = [path.name for path in files if path.suffix == ".yaml"]
+    return lines + [f"{name} is not read" for name in yaml if not read & {"", name}]
 
 
-def _row(row: tuple[str, list[Path]]) -> str:
-    return row[0].split(" | ")[0][2:]
-
-
-@pytest.mark.parametrize("row", ROWS, ids=_row)
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row[0].split(" | ")[0][2:])
 def test_a_row_has_the_values_of_its_files(row: tuple[str, list[Path]]) -> None:
-    line, files = row
-    assert not wrong(line, files)
-    named = {name for name, _, _ in _BOUND.findall(line)}
-    unread = [path.name for path in files if path.suffix == ".yaml" and not named & {"", path.name}]
-    assert not unread, "a YAML file of which nothing is read"
+    assert not wrong(*row)
 
 
 @pytest.mark.parametrize(
-    ("text", "file"),
+    ("file", "key", "actual"),
     [
-        ("stages.0.learning_rate = 0.2", "learning/force/presets/paper.yaml"),
-        ("LAST_TIME = 998", "learning/translation/diffusion/network.py"),
-        ("GuardLimits.soft_fraction = 0.9", "rig/core/guard.py"),
-        ("trajectory.depth_max_mm = 1.3", "rig/bench/benches/gelsight-hetero.yaml"),
+        ("learning/force/presets/paper.yaml", "stages.0.learning_rate", "0.1"),
+        ("rig/core/guard.py", "GuardLimits.soft_fraction", "0.85"),
+        ("rig/bench/benches/r18.yaml", "trajectory.points", "[1]"),
     ],
 )
-def test_another_value_is_noticed(text: str, file: str) -> None:
-    (line,) = wrong(f"| `{text}` |", [ROOT / file])
-    assert line.startswith(f"{Path(file).name} {text.split(' = ')[0]} = ")
+def test_another_value_is_noticed(file: str, key: str, actual: str) -> None:
+    path = ROOT / file
+    assert wrong(f"`{key} = 7`", [path]) == [f"{path.name} {key} = {actual}"]
+    assert wrong(f"`other.yaml {key} = 7`", [path])[0] == f"other.yaml {key} = not linked"

@@ -490,6 +490,7 @@ def train_force(
             if score < state.best:
                 best = {name: value.clone() for name, value in model.state_dict().items()}
             state.waited = 0 if score < state.best else state.waited + 1
+            # Before the last stage every validation counts as the best: its last weights go on.
             if state.stage == len(settings.stages) - 1:
                 state.best = min(score, state.best)
             off_in_newtons = (off * (model.high - model.low)).tolist()

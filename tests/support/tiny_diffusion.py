@@ -81,7 +81,8 @@ def write_judges(folder: Path) -> dict[str, Path]:
     made = tiny_pretrained()
     made.clip.save_pretrained(folder / "clip")
     distance = made.perceptual
-    torch.save(distance.features.state_dict(prefix="features."), folder / "vgg.pth")
+    vgg = {**distance.features.state_dict(prefix="features."), "classifier.0.bias": torch.ones(2)}
+    torch.save(vgg, folder / "vgg.pth")
     heads = {f"lin{stage}.model.1.weight": head for stage, head in enumerate(distance.heads)}
     torch.save({name: head.detach() for name, head in heads.items()}, folder / "lpips.pth")
     return {"clip": folder / "clip", "vgg": folder / "vgg.pth", "lpips": folder / "lpips.pth"}
