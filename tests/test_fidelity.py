@@ -65,15 +65,9 @@ def test_a_row_has_the_values_of_its_files(row: tuple[str, list[Path]]) -> None:
     assert not wrong(*row)
 
 
-@pytest.mark.parametrize(
-    ("file", "key", "actual"),
-    [
-        ("learning/force/presets/paper.yaml", "stages.0.learning_rate", "0.1"),
-        ("rig/core/guard.py", "GuardLimits.soft_fraction", "0.85"),
-        ("rig/bench/benches/r18.yaml", "trajectory.points", "[1]"),
-    ],
-)
-def test_another_value_is_noticed(file: str, key: str, actual: str) -> None:
-    path = ROOT / file
-    assert wrong(f"`{key} = 7`", [path]) == [f"{path.name} {key} = {actual}"]
-    assert wrong(f"`other.yaml {key} = 7`", [path])[0] == f"other.yaml {key} = not linked"
+def test_another_value_is_noticed() -> None:
+    paper, guard = force.PRESETS / "paper.yaml", ROOT / "rig" / "core" / "guard.py"
+    assert wrong("`seed = 7`", [paper]) == ["paper.yaml seed = 0"]
+    assert wrong("`GuardLimits.soft_fraction = 0.9`", [guard])
+    assert wrong("`other.yaml seed = 0`", [guard]) == ["other.yaml seed = not linked"]
+    assert wrong("", [paper]) == ["paper.yaml is not read"]

@@ -55,8 +55,8 @@ def ours(method: str, measure: str, statistic: str, rows: Sequence[Row]) -> str:
     values |= {"largest": max(values.values()), "smallest": min(values.values())} | {
         "mean": mean(values.values())
     }
-    some = [values[name] for name in statistic.split(", ") if name in values]
-    return f"{mean(some):.2f}" if some else "-"
+    names = statistic.split(", ")
+    return f"{mean(values[name] for name in names):.2f}" if {*names} <= values.keys() else "-"
 
 
 def beside_the_paper(rows: Mapping[str, Sequence[Row]]) -> str:

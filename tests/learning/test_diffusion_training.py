@@ -18,7 +18,6 @@ from support.tiny_diffusion import (
 )
 from support.training import session
 
-from learning.config import preset_names, read_settings
 from learning.errors import LearningError
 from learning.training.run import METRICS, LaunchSettings, RunFolder, accelerator
 from learning.translation.diffusion import train as translator
@@ -28,23 +27,12 @@ from learning.translation.diffusion.train import (
     IMAGES_PER_S,
     MEMORY_GIB,
     DiffusionLossWeights,
-    TranslatorSettings,
     train,
 )
 from learning.translation.diffusion.train_vae import train_vae
 
-PRESETS = ("authors_code", "ours", "paper_main", "paper_supplement")
 # Values of the log that differ between two runs of the same training.
 COST = (IMAGES_PER_S, MEMORY_GIB)
-
-
-def test_presets_differ_from_the_papers_as_the_authors_code_does() -> None:
-    # Rates, batches, steps, losses and ranks are those of the fidelity page.
-    assert preset_names(translator.PRESETS) == PRESETS
-    for name in PRESETS:
-        preset = read_settings(TranslatorSettings, translator.PRESETS, name)
-        assert preset.two_pass == (name == "authors_code")
-        assert (preset.unet_rank, preset.vae_rank, preset.optimiser.clip_norm) == (8, 4, 1.0)
 
 
 def same_in_halves(folder: Path, settings: Any, training: Callable[[Any], Any]) -> Any:
