@@ -17,8 +17,6 @@ from tactile.__main__ import main
 
 # Widths of their encoder, memory and tail, and of a small network of the same structure.
 FULL, SMALL = ((64, 96, 128), 128, (256, 512)), ((8, 12, 16), 16, (20, 24))
-# Weights of their network.
-COUNT = 6_531_427
 
 
 class Block(nn.Module):
@@ -84,7 +82,7 @@ def test_their_preset_has_their_network_to_the_weight(tmp_path: Path) -> None:
     settings = read_force_settings("authors_code")
     model = ForceModel(settings.network, settings.input)
     for network in (theirs, model):
-        assert sum(each.numel() for each in network.parameters()) == COUNT
+        assert sum(each.numel() for each in network.parameters()) == 6_531_427
     torch.save(theirs.state_dict(), tmp_path / "epoch_40.pth")
     read = import_force_weights(tmp_path / "epoch_40.pth", tmp_path / "run")
     assert read.network == settings.network
