@@ -63,14 +63,12 @@ moves the target's own markers. Dice is the overlap of two marker images: 1 if e
 
 {beside_the_paper(forces)}
 
-The paper's are of its Results, Fig. 5d, 5f, 6d, 6f and 7f, on forces up to 18 N, shear up to 4 N.
-Where ours is another number: its sensors are real, its networks larger and trained from published
-weights with LPIPS and an adversary (here: the square alone), its tests of all indenters.
-Patterns: here all are on one skin and labels are exact; why no pair is as good by the source alone
-as the paper's best is not known. Skins: the paper's R2 falls from 0.8 to 0.4 from hard to soft, as
-labels are not compensated; ours always are, by exact curves, as the skins differ by their modulus
-alone (2.5 : 1). Kinds: the moduli of pads are assumed; the worst pair is the paper's. FID and KID
-(Fig. 3, 5a, 5b) are not measured: they need Inception's weights from the user.
+The paper's (Fig. 5 to 7) are of real sensors, up to 18 N, 4 N of shear, and of all indenters; its
+networks are larger, trained from published weights with LPIPS and an adversary, here with the
+square alone. Patterns: why no pair is as good by the source alone as the paper's best is not known.
+Skins: from hard to soft its R2 falls from 0.8 to 0.4, as labels are not compensated; ours are, by
+exact curves, as skins differ by modulus alone (2.5 : 1). Kinds: the moduli of pads are assumed.
+FID and KID (Fig. 3, 5a, 5b) are not measured: they need Inception's weights from the user.
 [All differences](../reference/fidelity.md)."""
 
 
