@@ -181,8 +181,8 @@ def test_the_published_losses_train_the_adapters_from_a_users_weights(
     few = ["steps=20", "batch=2", "log_every=1", "launch.device=cpu", "marker_vae.steps=0",
            "optimiser.rate={kind: constant, rate: 0.02}", "sample_latents=false"]  # fmt: skip
     assert run_module(command, archive.path, *options, *(f"--set={each}" for each in few)) == 0
-    lines = [json.loads(line) for line in (out / METRICS).read_text().splitlines()]
-    lines = [line for line in lines if "train/square" in line]
+    logged = map(json.loads, (out / METRICS).read_text().splitlines())
+    lines = [line for line in logged if "train/square" in line]
     assert len(lines) == 20
     parts = ("square", "perceptual", "adversarial", "discriminator")
     for name in (*(f"train/{part}" for part in parts), IMAGES_PER_S, MEMORY_GIB):

@@ -107,15 +107,14 @@ def test_a_model_of_the_authors_predicts_what_their_network_computes(tmp_path: P
     assert model.denormalise(torch.zeros(3)).tolist() == [-5.0, -5.0, -20.0]
     # Again: the same file fits the folder, another does not.
     import_force_weights(tmp_path / "epoch_20.pth", tmp_path / "run")
+    torch.save({**state, "reg_layer.2.bias": torch.zeros(1)}, tmp_path / "more.pth")
     del state["post_processing.0.conv1.bias"]
     torch.save(state, tmp_path / "less.pth")
     torch.save({"a": torch.zeros(1)}, tmp_path / "wrong.pth")
-    more = {**theirs.state_dict(), "reg_layer.2.weight": torch.zeros(1)}
-    torch.save(more, tmp_path / "more.pth")
     (tmp_path / "text.pth").write_text("x")
     for name, message in (
         ("less.pth", r"missing tail\.0\.branch\.0\.bias"),
-        ("more.pth", r"unexpected reg_layer\.2\.weight"),
+        ("more.pth", r"unexpected reg_layer\.2\.bias"),
         ("wrong.pth", "a force model of the authors' code"),
         ("text.pth", "is no file of weights"),
     ):

@@ -144,8 +144,7 @@ def test_the_papers_training_learns_at_a_quarter_of_the_width(tmp_path: Path) ->
     assert losses[-1] < 0.4 * losses[0]
     (one,) = (archive := MarkerArchive(shown)).values()
     presses = load_presses(one, make_split(archive).rows(one.table, "new_indenter"))
-    r2 = r_squared(presses.wrench.numpy(), load_force_model(out).predict(presses))
-    assert r2.min() > 0.6
+    assert r_squared(presses.wrench.numpy(), load_force_model(out).predict(presses)).min() > 0.6
 
 
 def test_starting_from_a_model_begins_with_its_weights() -> None:
