@@ -62,8 +62,7 @@ demo-learning: $(VENV)/.learning-sim  ## three simulated sensors, from press to 
 	  --out $(call folder,runs/demo-learning) --preset demo --pairs array-hard:circle,array-hard:diamond-soft
 
 demo-transfer: $(VENV)/.learning-sim  ## newtons on a simulated sensor without a gauge
-	@out=$(call folder,runs/demo-transfer) && bare="$$out/bare.markers.zarr:bare" && \
-	for name in gauge bare; do \
+	@out=$(call folder,runs/demo-transfer) && bare="$$out/bare.markers.zarr:bare" && for name in gauge bare; do \
 	  $(TACTILE) sim archive $(BARE)/$$name.yaml $(SMALL) --out "$$out/$$name.markers.zarr" || exit; done && \
 	$(TACTILE) force --sensor "$$bare" --by source --source "$$out/gauge.markers.zarr" --out "$$out/model" && \
 	rm -rf "$$out/weighed" && $(TACTILE) calibrate-force "$$out/model" \
@@ -73,8 +72,10 @@ demo-transfer: $(VENV)/.learning-sim  ## newtons on a simulated sensor without a
 demo-twin: $(VENV)/.rig-sim  ## a mock sensor is recorded and its twin identified
 	@$(PY) -m benchmarks twin --only demo --out $(call folder,runs/twin-demo)/twin.md
 
-demo-paper: $(VENV)/.diffusion-sim  ## the paper's chain at toy size
-	@$(PY) -m benchmarks paper --quick --only patterns --out $(call folder,runs/demo-paper)/paper.md
+demo-paper: $(VENV)/.learning-sim  ## the paper's training of its force net, at a quarter of the width
+	@out=$(call folder,runs/demo-paper) && shown="$$out/demo.markers.zarr" && $(TACTILE) sim archive \
+	  $(DEMO)/circle.yaml $(SMALL) --scale 0.05 --steps 1 --out "$$shown" && $(TACTILE) train force "$$shown" \
+	  --preset examples/demo-paper/quarter.yaml --out "$$out/net" && $(TACTILE) evaluate "$$out/net" "$$shown"
 
 ##@ Develop
 test: $(VENV)/.rig-dev  ## run the default tests (about 6 minutes on 2 cores)
@@ -89,9 +90,8 @@ test-slow-rest: $(VENV)/.rig-dev  ## run the other slow tests, tutorials include
 	@$(SLOW) -m 'slow and serial'
 
 check: $(VENV)/.rig-dev  ## check lint, format, types, layers of imports, spelling, prose and docs
-	@$(PY) -m ruff check . && $(PY) -m ruff format --check . && $(PY) -m mypy
-	@$(VENV)/bin/lint-imports --no-logo && $(VENV)/bin/codespell && $(PY) tests/support/prose.py
-	@$(MKDOCS) build
+	@$(PY) -m ruff check . && $(PY) -m ruff format --check . && $(PY) -m mypy && $(VENV)/bin/codespell
+	@$(VENV)/bin/lint-imports --no-logo && $(PY) tests/support/prose.py && $(MKDOCS) build
 
 docs: $(VENV)/.docs  ## SERVE=1: show the documentation on a local page; without: build/docs
 	@$(MKDOCS) $(if $(call given,SERVE),serve,build)

@@ -1,8 +1,4 @@
-"""The paper's chain trained from nothing, beside simple baselines and the paper's own figures.
-
-python -m benchmarks paper --device cuda:0              # the whole page
-python -m benchmarks paper --quick --only patterns      # the chain at toy size
-"""
+"""The paper's chain trained from nothing, beside simple baselines and the paper's own figures."""
 
 from functools import partial
 

@@ -1,8 +1,8 @@
 """Import of the authors' force models, with tensors renamed to the names used here.
 
-Their `epoch_N.pth` holds the state of one network and nothing else. Its tail has the encoder's
-residual blocks (`tail_block: raft`), with biases and batch norms; its three gates are separate
-convolutions, two of which are one here. The file contains only tensors, so no code in it is run.
+Their `epoch_N.pth` holds the state of one network and nothing else: that of preset `authors_code`,
+with three separate convolutions for the gates, two of which are one here. The file contains only
+tensors, so no code in it is run.
 """
 
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from torch import Tensor
 from learning.config import read_settings
 from learning.data.presses import AUTHORS
 from learning.errors import LearningError
-from learning.force.model import KIND, ForceModel, ForceNetworkSettings
+from learning.force.model import KIND, ForceModel
 from learning.force.train import PRESETS, ForceModelSettings
 from learning.training.checkpoint import load_weights, read_tensors, weights_hash
 from learning.training.run import RunFolder
@@ -54,11 +54,7 @@ def import_force_weights(file: Path, out: Path, *, marker_value: float = 1.0) ->
     homogeneous and material sensors.
     """
     tensors = read_tensors(file)
-    network = _network(file, tensors)
-    changes = [f"input.marker_value={marker_value!r}", 'network.tail_block="raft"']
-    for name in ("encoder", "memory", "tail"):
-        value = getattr(network, name)
-        changes.append(f"network.{name}={list(value) if isinstance(value, tuple) else value}")
+    changes = [f"input.marker_value={marker_value!r}", *_widths(file, tensors)]
     settings = read_settings(ForceModelSettings, PRESETS, "authors_code", changes)
     model = ForceModel(settings.network, settings.input)
     model.set_range(AUTHORS)
@@ -71,8 +67,8 @@ def import_force_weights(file: Path, out: Path, *, marker_value: float = 1.0) ->
     return model.eval()
 
 
-def _network(file: Path, tensors: Mapping[str, Tensor]) -> ForceNetworkSettings:
-    """Return the widths of a model, from the shapes of its tensors."""
+def _widths(file: Path, tensors: Mapping[str, Tensor]) -> list[str]:
+    """Return the widths of a model, from the shapes of its tensors, as overrides of settings."""
 
     def width(name: str) -> int:
         if name not in tensors:
@@ -81,15 +77,10 @@ def _network(file: Path, tensors: Mapping[str, Tensor]) -> ForceNetworkSettings:
             )
         return int(tensors[name].shape[0])
 
-    first, second, third = (
-        width(f"base_network.layer{stage}.0.conv1.weight") for stage in (1, 2, 3)
-    )
-    return ForceNetworkSettings(
-        encoder=(first, second, third),
-        memory=width("convgru.layers.0.convq.weight"),
-        tail=(width("post_processing.0.conv1.weight"), width("post_processing.1.conv1.weight")),
-        tail_block="raft",
-    )
+    encoder = [width(f"base_network.layer{stage}.0.conv1.weight") for stage in (1, 2, 3)]
+    tail = [width(f"post_processing.{block}.conv1.weight") for block in (0, 1)]
+    memory = width("convgru.layers.0.convq.weight")
+    return [f"network.encoder={encoder}", f"network.memory={memory}", f"network.tail={tail}"]
 
 
 def _renamed(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:

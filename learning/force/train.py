@@ -124,7 +124,8 @@ class ForceModelSettings:
     start_at_mean: bool = True
     """True if the untrained model predicts the mean label, False if the centre of the box."""
     patience_epochs: int | None = 10
-    """Number of validations without improvement after which a stage ends; none: no early end."""
+    """Number of validations without improvement after which the last stage ends; none: no early
+    end. Stages before it run to their end, as a large learning rate validates badly for long."""
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -408,9 +409,9 @@ def train_force(
 
     Presses stay on their device; on the GPU that avoids a copy at every step. Without a session the
     training is in memory, on the device of the settings; a stop is looked for before every step,
-    training is then saved. Validation presses determine the end of a stage and the weights to keep;
-    those of sensors without a label are left out. `start_from` is a model with the same network,
-    for the initial weights.
+    training is then saved. Validation presses determine the end of the last stage and the weights
+    to keep; those of sensors without a label are left out. `start_from` is a model with the same
+    network, for the initial weights.
     """
     session = session or TrainingSession(accelerator(settings.launch))
     run, runs_on, device = session.run, session.accelerator, session.device
@@ -489,7 +490,9 @@ def train_force(
             if score < state.best:
                 best = {name: value.clone() for name, value in model.state_dict().items()}
             state.waited = 0 if score < state.best else state.waited + 1
-            state.best = min(score, state.best)
+            # Before the last stage every validation counts as the best: its last weights go on.
+            if state.stage == len(settings.stages) - 1:
+                state.best = min(score, state.best)
             off_in_newtons = (off * (model.high - model.low)).tolist()
             named = zip(AXES, off_in_newtons, strict=True)
             line["validation"] = score

@@ -18,44 +18,21 @@ from support.tiny_diffusion import (
 )
 from support.training import session
 
-from learning.config import preset_names, read_settings
 from learning.errors import LearningError
-from learning.training.optim import Constant
 from learning.training.run import METRICS, LaunchSettings, RunFolder, accelerator
 from learning.translation.diffusion import train as translator
 from learning.translation.diffusion.discriminator import ClipFeatures, DiscriminatorHeads
 from learning.translation.diffusion.network import MarkerVae, build, vae_adapter_of
 from learning.translation.diffusion.train import (
+    IMAGES_PER_S,
+    MEMORY_GIB,
     DiffusionLossWeights,
-    TranslatorSettings,
-    evaluate,
     train,
 )
 from learning.translation.diffusion.train_vae import train_vae
 
-PRESETS = ("authors_code", "ours", "paper_main", "paper_supplement")
-
-
-def test_presets_are_what_paper_supplement_and_code_say() -> None:
-    assert preset_names(translator.PRESETS) == PRESETS
-    presets = {
-        name: read_settings(TranslatorSettings, translator.PRESETS, name) for name in PRESETS
-    }
-    weights = DiffusionLossWeights(adversarial=0.5, perceptual=5.0, square=1.0)
-    for name, batch in (("paper_main", 16), ("paper_supplement", 4)):
-        paper = presets[name]
-        assert (paper.optimiser.rate, paper.losses) == (Constant(5e-6, warm_up=500), weights)
-        assert (paper.batch, paper.steps, paper.train_vae) == (batch, 100_000, True)
-        assert paper.marker_vae.optimiser.rate == Constant(1e-4)
-        assert (paper.marker_vae.batch, paper.marker_vae.steps) == (batch, 100_000)
-    code = presets["authors_code"]
-    assert code.optimiser.rate == Constant(5e-5)
-    assert code.losses == DiffusionLossWeights(adversarial=0.5, perceptual=1.0, square=5.0)
-    assert (code.pixel_range, code.two_pass, code.train_vae) == ("zero_one", True, False)
-    assert all(
-        (each.unet_rank, each.vae_rank, each.optimiser.clip_norm) == (8, 4, 1.0)
-        for each in presets.values()
-    )
+# Values of the log that differ between two runs of the same training.
+COST = (IMAGES_PER_S, MEMORY_GIB)
 
 
 def same_in_halves(folder: Path, settings: Any, training: Callable[[Any], Any]) -> Any:
@@ -66,7 +43,8 @@ def same_in_halves(folder: Path, settings: Any, training: Callable[[Any], Any]) 
             run = RunFolder.open(folder / name, "made up", settings, "x")
             networks.append(training(session(settings, run, 1 if stop == 1 else 0)))
             assert run.finished == (stop == 2)
-        logs.append((folder / name / METRICS).read_text())
+        lines = (folder / name / METRICS).read_text().splitlines()
+        logs.append([{k: v for k, v in json.loads(x).items() if k not in COST} for x in lines])
     whole, _, halves = (network.state_dict() for network in networks)
     assert logs[0] == logs[1]
     assert all(torch.equal(whole[name], each) for name, each in halves.items())
@@ -81,26 +59,6 @@ def test_a_resumed_run_is_the_same_run_bit_for_bit(tmp_path: Path) -> None:
         settings,
         lambda session: train(striped_pairs(), tiny_pretrained(), settings, session=session),
     )
-
-
-@pytest.mark.slow
-def test_the_loss_falls() -> None:
-    settings = tiny_settings()
-    settings = replace(
-        settings,
-        steps=20,
-        unet_rank=8,
-        vae_rank=8,
-        sample_latents=False,
-        losses=DiffusionLossWeights(adversarial=0, perceptual=0),
-        optimiser=replace(settings.optimiser, rate=Constant(0.02)),
-    )
-    pairs, runs_on = striped_pairs(2), accelerator(settings.launch)
-    begun = train(pairs, tiny_pretrained(), replace(settings, steps=1))
-    trained = train(pairs, tiny_pretrained(), settings)
-    first, last = (evaluate(each, pairs, settings, runs_on) for each in (begun, trained))
-    assert last["validation/square"] < 0.5 * first["validation/square"]
-    assert last["validation/dice"] > first["validation/dice"]
 
 
 @pytest.mark.slow

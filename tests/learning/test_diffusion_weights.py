@@ -12,7 +12,13 @@ from typing import Any
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
-from support.tiny_diffusion import SIDE, VGG, tiny_pretrained, tiny_settings, write_base
+from support.tiny_diffusion import (
+    SIDE,
+    tiny_pretrained,
+    tiny_settings,
+    write_base,
+    write_judges,
+)
 
 from learning.errors import LearningError
 from learning.training.checkpoint import read_model_folder, read_plain
@@ -26,7 +32,6 @@ from learning.translation.diffusion.network import (
 )
 from learning.translation.diffusion.translator import load_network
 from learning.translation.diffusion.weights import (
-    PerceptualDistance,
     fingerprint,
     read_clip,
     read_perceptual,
@@ -127,20 +132,14 @@ def test_other_networks_weights_are_refused(base: Path, tmp_path: Path) -> None:
 
 
 def test_judges_are_read_from_their_published_layouts(tmp_path: Path) -> None:
-    made = tiny_pretrained()
-    made.clip.config.save_pretrained(tmp_path / "clip")
+    made, files = tiny_pretrained(), write_judges(tmp_path)
     texts = {"text_model.x": torch.ones(1), "logit_scale": torch.ones(1)}
     save_file({**made.clip.state_dict(), **texts}, tmp_path / "clip" / "model.safetensors")
-    found = read_clip(str(tmp_path / "clip")).state_dict()
+    found = read_clip(str(files["clip"])).state_dict()
     assert all(torch.equal(found[name], each) for name, each in made.clip.state_dict().items())
-    distance = PerceptualDistance(VGG)
-    vgg = {**distance.features.state_dict(prefix="features."), "classifier.0.bias": torch.ones(2)}
-    torch.save(vgg, tmp_path / "vgg.pth")
-    heads = {f"lin{stage}.model.1.weight": head for stage, head in enumerate(distance.heads)}
-    torch.save({name: head.detach() for name, head in heads.items()}, tmp_path / "lpips.pth")
-    read = read_perceptual(str(tmp_path / "vgg.pth"), str(tmp_path / "lpips.pth"))
+    read = read_perceptual(str(files["vgg"]), str(files["lpips"]))
     images = torch.rand(2, 1, 3, 32, 32)
-    assert torch.equal(read(*images), distance(*images))
+    assert torch.equal(read(*images), made.perceptual(*images))
     with pytest.raises(LearningError, match="missing features"):
         read_perceptual(str(tmp_path / "lpips.pth"), str(tmp_path / "lpips.pth"))
 

@@ -9,7 +9,8 @@ import torch
 from support.force_models import TOY, noise_presses, toy
 from support.training import session
 
-from learning.data.presses import AUTHORS, Presses
+from learning.data.presses import AUTHORS, Presses, load_presses
+from learning.data.splits import make_split
 from learning.errors import LearningError
 from learning.force import load_force_model
 from learning.force.batched import train_batched
@@ -18,6 +19,7 @@ from learning.force.model import KIND, ForceModel, InputSettings
 from learning.force.train import (
     ForceModelSettings,
     ForceStageSettings,
+    OptimiserSettings,
     Sequences,
     SequenceSettings,
     epoch,
@@ -29,7 +31,10 @@ from learning.force.train import (
     superposed,
     train_force,
 )
-from learning.training.run import RunFolder
+from learning.metrics import r_squared
+from learning.training.run import METRICS, RunFolder
+from recorder import MarkerArchive
+from tactile.__main__ import main
 from tests.support.few import few
 
 # All state that a run has to restore.
@@ -109,6 +114,37 @@ def test_validation_keeps_the_best_weights_and_ends_a_stage() -> None:
     best = np.abs(predictor.predict(held) - held.wrench.numpy()).mean()
     endless = train_force(presses, replace(patient, patience_epochs=None))
     assert best <= np.abs(endless.predict(held) - held.wrench.numpy()).mean()
+
+
+def test_only_the_last_stage_ends_early(tmp_path: Path) -> None:
+    # A rate so small that no weight changes: no validation is better than the first.
+    still = ForceStageSettings(epochs=4, learning_rate=1e-30)
+    optimiser = OptimiserSettings(name="sgd", weight_decay=0.0)
+    settings = toy(stages=(still, still), patience_epochs=1, optimiser=optimiser)
+    run = _open(tmp_path / "run", settings)
+    train_force(noise_presses(2), settings, session(settings, run), validation=HELD)
+    lines = (run.path / METRICS).read_text().splitlines()
+    assert [json.loads(line)["stage"] for line in lines] == [0, 0, 0, 0, 1, 1]
+
+
+@pytest.mark.slow  # minutes: its rate of 0.1 leaves its start after some 400 steps
+@pytest.mark.timeout(1800)
+def test_the_papers_training_learns_at_a_quarter_of_the_width(tmp_path: Path) -> None:
+    shown, out = str(tmp_path / "demo.markers.zarr"), tmp_path / "net"
+    small = ["--tier", "layer", "--scale", "0.025", "--steps", "1", "--no-check"]
+    assert (
+        main(["sim", "archive", "examples/demo-learning/circle.yaml", *small, "--out", shown]) == 0
+    )
+    stages = "{epochs: 100, learning_rate: 0.1}, {epochs: 25, learning_rate: 0.001}"
+    few = ["--preset", "examples/demo-paper/quarter.yaml", "--set", f"stages=[{stages}]"]
+    assert main(["train", "force", shown, *few, "--out", str(out)]) == 0
+    lines = [json.loads(line) for line in (out / METRICS).read_text().splitlines()]
+    losses = [line["loss"] for line in lines if line["stage"] == 0]
+    assert len(losses) == 100  # no early end, though no validation is better for long
+    assert losses[-1] < 0.4 * losses[0]
+    (one,) = (archive := MarkerArchive(shown)).values()
+    presses = load_presses(one, make_split(archive).rows(one.table, "new_indenter"))
+    assert r_squared(presses.wrench.numpy(), load_force_model(out).predict(presses)).min() > 0.6
 
 
 def test_starting_from_a_model_begins_with_its_weights() -> None:

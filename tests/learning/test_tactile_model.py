@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from support.authors_net import Theirs
+from support.authors_net import SMALL, Theirs
 from support.force_models import random_model
 from support.learning_sessions import record
 
@@ -50,7 +50,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for number, frame in enumerate(frames):
             Image.fromarray(frame).save(lab / name / f"{number:04d}.png")
     torch.manual_seed(0)
-    torch.save(Theirs().state_dict(), lab / "epoch_20.pth")
+    torch.save(Theirs(*SMALL).state_dict(), lab / "epoch_20.pth")
     random_model(lab / "model", "both", "bench-gelsight")
     return lab
 
@@ -216,7 +216,7 @@ def test_scripts_from_pictures_a_session_and_a_checkpoint_to_newtons(
     np.testing.assert_allclose(session["forces"].force, again, atol=1e-5)
     # Forces of the checkpoint are those of the authors' network.
     network, masks = authors["model"].force_model, authors["masks"]
-    theirs = Theirs().eval()
+    theirs = Theirs(*SMALL).eval()
     theirs.load_state_dict(torch.load("epoch_20.pth", weights_only=True))
     with torch.no_grad():
         images = prepare(torch.from_numpy(shrink(pack(masks))), None, network.inputs)

@@ -6,8 +6,8 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-# Widths of a small network of the same structure: those of theirs are 64, 96, 128; 128; 256, 512.
-WIDTHS, MEMORY, TAIL = (8, 12, 16), 16, (20, 24)
+# Widths of their encoder, memory and tail, and of a small network of the same structure.
+FULL, SMALL = ((64, 96, 128), 128, (256, 512)), ((8, 12, 16), 16, (20, 24))
 
 
 class Block(nn.Module):
@@ -32,23 +32,23 @@ class Block(nn.Module):
 class Theirs(nn.Module):
     """The authors' network under the names of their checkpoints, with random weights."""
 
-    def __init__(self) -> None:
+    def __init__(self, widths: tuple[int, ...], memory: int, tail: tuple[int, ...]) -> None:
         super().__init__()
-        norm, before = nn.InstanceNorm2d, WIDTHS[0]
+        norm, before = nn.InstanceNorm2d, widths[0]
         parts: list[tuple[str, nn.Module]] = [("conv1", nn.Conv2d(3, before, 7, 2, 3))]
         parts += [("norm1", norm(before)), ("relu", nn.ReLU())]
-        for stage, width in enumerate(WIDTHS, 1):
+        for stage, width in enumerate(widths, 1):
             blocks = Block(before, width, min(stage, 2), norm), Block(width, width, 1, norm)
             parts.append((f"layer{stage}", nn.Sequential(*blocks)))
             before = width
         parts.append(("conv2", nn.Conv2d(before, before, 1)))
         self.base_network = nn.Sequential(OrderedDict(parts))
         names = ("convz", "convr", "convq")
-        gates = {name: nn.Conv2d(MEMORY + before, MEMORY, 3, 1, 1) for name in names}
+        gates = {name: nn.Conv2d(memory + before, memory, 3, 1, 1) for name in names}
         self.convgru = nn.ModuleDict({"layers": nn.ModuleList([nn.ModuleDict(gates)])})
-        sizes = pairwise((MEMORY, *TAIL))
+        sizes = pairwise((memory, *tail))
         self.post_processing = nn.Sequential(*(Block(*size, 2, nn.BatchNorm2d) for size in sizes))
-        self.reg_layer = nn.Sequential(nn.Linear(TAIL[-1], 3), nn.Sigmoid())
+        self.reg_layer = nn.Sequential(nn.Linear(tail[-1], 3), nn.Sigmoid())
         for name, value in self.post_processing.state_dict().items():
             if "norm" in name and value.ndim:
                 value.uniform_(0.5, 1.5)
@@ -57,7 +57,7 @@ class Theirs(nn.Module):
         """Return the normalised forces (s, 3) of frames (s, 3, 256, 256)."""
         gates = self.convgru["layers"][0]
         features = self.base_network(frames)
-        hidden, forces = torch.zeros(1, MEMORY, *features.shape[2:]), []
+        hidden, forces = torch.zeros(1, gates["convq"].out_channels, *features.shape[2:]), []
         for frame in features[:, None]:
             both = torch.cat([hidden, frame], 1)
             update, reset = gates["convz"](both).sigmoid(), gates["convr"](both).sigmoid()

@@ -64,7 +64,8 @@ VAE_STAGE = (
 
 def tiny_pretrained(vae: dict[str, Any] = VAE) -> Pretrained:
     """Return networks that differ from the full-size ones only in size."""
-    return random_pretrained(UNET, vae, CLIP, VGG)
+    width = WIDTH if vae is VAE else 256
+    return random_pretrained({**UNET, "cross_attention_dim": width}, vae, CLIP, VGG)
 
 
 def write_base(folder: Path, vae: dict[str, Any] = VAE) -> Path:
@@ -73,6 +74,18 @@ def write_base(folder: Path, vae: dict[str, Any] = VAE) -> Path:
     made.unet.save_pretrained(folder / "unet")
     made.vae.save_pretrained(folder / "vae")
     return folder
+
+
+def write_judges(folder: Path) -> dict[str, Path]:
+    """Write CLIP, VGG16 and LPIPS' heads in their published layouts; return paths by option."""
+    made = tiny_pretrained()
+    made.clip.save_pretrained(folder / "clip")
+    distance = made.perceptual
+    vgg = {**distance.features.state_dict(prefix="features."), "classifier.0.bias": torch.ones(2)}
+    torch.save(vgg, folder / "vgg.pth")
+    heads = {f"lin{stage}.model.1.weight": head for stage, head in enumerate(distance.heads)}
+    torch.save({name: head.detach() for name, head in heads.items()}, folder / "lpips.pth")
+    return {"clip": folder / "clip", "vgg": folder / "vgg.pth", "lpips": folder / "lpips.pth"}
 
 
 def tiny_settings(preset: str = "ours", **weights: str) -> TranslatorSettings:

@@ -14,7 +14,9 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import resource
 import sys
+import time
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
@@ -77,6 +79,8 @@ if TYPE_CHECKING:
 PRESETS = Path(__file__).parent / "presets"
 
 _AT_ONCE = 16  # images encoded or evaluated at once
+# Names in the log of the speed since the last line, and of the largest memory until now.
+IMAGES_PER_S, MEMORY_GIB = "images_per_s", "memory_gib"
 
 
 @dataclass(frozen=True, slots=True)
@@ -366,6 +370,7 @@ def train(
     # Loop. Random numbers depend only on seed, step and process, so a resumed run is identical.
     done, score = run.restore(models, states), None
     references = encoded_references(network, pairs.references, runs_on)
+    logged, since = done, time.perf_counter()
     for step in range(done, settings.steps):
         rate = own.rate.at(step)
         for trainable in trainables:
@@ -382,7 +387,11 @@ def train(
             for name, loss in message.items():
                 if not math.isfinite(loss):
                     raise LearningError(f"{name}: found {loss} on step {done}; allowed: finite")
-            run.log(done, {"train/rate": rate, **message})
+            images = (done - logged) * settings.batch * settings.accumulation * ranks
+            speed = images / (time.perf_counter() - since)
+            cost = {IMAGES_PER_S: speed, MEMORY_GIB: _peak_memory(device)}
+            run.log(done, {"train/rate": rate, **message, **cost})
+            logged, since = done, time.perf_counter()
         if validation is not None and (last or done % settings.validate_every == 0):
             measured = evaluate(network, validation, settings, runs_on)
             score = measured["validation/square"]
@@ -394,6 +403,13 @@ def train(
     if done == settings.steps:
         run.finish(done, {"model": network}, score=score)
     return network.eval()
+
+
+def _peak_memory(device: torch.device) -> float:
+    """Return the largest memory [GiB] that a GPU, or else this process, has had in use."""
+    if device.type == "cuda":
+        return torch.cuda.max_memory_allocated(device) / 2**30
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 
 
 @torch.no_grad()
