@@ -19,9 +19,11 @@ import simplejpeg
 from numpy.typing import NDArray
 
 from benchmarks.faults.collection_run import CollectionRun, quick_bench
+from benchmarks.processes import rows_of
 from benchmarks.report import Page, Run, table
 from recorder import SessionWriter, StreamWriter, check
 from recorder.checks.plausible import statements
+from recorder.processes import Workers
 from recorder.session.columns import Stream
 from recorder.session.reader import Session
 from recorder.session.uncertainty import latency_sigma
@@ -214,13 +216,15 @@ EDITS = (
 def measure_healthy(run: Run) -> dict[str, Any]:
     """Collect a session for each bench and effect; return the worst value of each witness."""
     benches = sorted(path.stem for path in BENCHES.glob("*.yaml"))
-    chosen = [(bench, lab) for lab in LABS for bench in benches]
-    chosen = [one for k, one in enumerate(chosen) if k % (40 if run.quick else 1) == 0]
-    rows: list[dict[str, Any]] = []
-    for number, (bench, lab) in enumerate(chosen):
-        work = partial(_healthy, bench, lab, run.folder)
-        rows.append(run.once(f"{bench}, {lab or 'clean'}", work))
-        run.progress((number + 1) / len(chosen))
+    # Each bench once, each time with the next effect, and so on: the first part has all of both.
+    chosen = [
+        (bench, LABS[(turn + k) % len(LABS)])
+        for turn in range(len(LABS))
+        for k, bench in enumerate(benches)
+    ]
+    chosen = chosen[: 4 if run.quick else None]
+    items = {f"{bench}, {lab or 'clean'}": (bench, lab) for bench, lab in chosen}
+    rows = [*rows_of(run, partial(_healthy, run.folder), items).values()]
     worst: dict[str, float] = {}
     for row in rows:
         for code, doubt in row["doubts"].items():
@@ -231,15 +235,18 @@ def measure_healthy(run: Run) -> dict[str, Any]:
     return {"sessions": len(rows), "worst": worst, "rows": rows}
 
 
-def _healthy(bench: str, lab: str, folder: Path) -> dict[str, Any]:
-    path = collected(bench, lab, folder / "healthy.zarr", targets=3)
+def _healthy(folder: Path, bench_and_lab: tuple[str, str]) -> dict[str, Any]:
+    bench, lab = bench_and_lab
+    own = folder / f"{bench}-{LABS.index(lab)}"
+    own.mkdir()
+    path = collected(bench, lab, own / "healthy.zarr", targets=3)
     found = [each for each in check(path) if each.level != "note"]
     seen = list(statements(Session(path)))
     doubts: dict[str, float] = {}
     for one in seen:
         code = one.finding.code
         doubts[code] = max(doubts.get(code, 0.0), float(np.nan_to_num(one.doubt, posinf=1e9)))
-    shutil.rmtree(path)
+    shutil.rmtree(own)
     return {"session": f"{bench}, {lab}", "doubts": doubts, "findings": list(map(str, found))}
 
 
@@ -259,36 +266,61 @@ def measure_edits(run: Run) -> dict[str, Any]:
     count = 8 if run.quick else 200
     run.seeds = [run.options.seed]
     benches = EDITED[:1] if run.quick else EDITED
-    sessions = [
-        collected(bench, LABS[1 + k // 2] if k % 2 else "", run.folder / f"{k}.zarr", targets=6)
-        for k, bench in enumerate(benches)
-    ]
-    drawn = _draws(np.random.default_rng(run.options.seed), sessions)
+    labs = [LABS[1 + k // 2] if k % 2 else "" for k in range(len(benches))]
     rows: list[dict[str, Any]] = []
-    while sum(row["counts"] for row in rows) < count:
-        rows.append(next(drawn))
-        run.progress(sum(row["counts"] for row in rows) / count)
+    with Workers(run.options.processes) as workers:
+        recorded = [
+            workers.submit(_recorded, run.folder / bench, bench, lab)
+            for bench, lab in zip(benches, labs, strict=True)
+        ]
+        draws = _draws(run.options.seed, [one.result() for one in recorded])
+        drawn = [workers.submit(_edited, *next(draws)) for _ in range(2 * count)]
+        while (noted := sum(row["counts"] for row in rows)) < count:
+            run.progress(noted / count)
+            rows.append(drawn[len(rows)].result())
+            run.rows[str(len(rows))] = rows[-1]
+            run.store()
     missed = [row for row in rows if row["counts"] and not row["noticed"]]
     if len(missed) > MISSED * count:
         run.failures.append(f"{len(missed)} of {count} edits are missed; allowed: {MISSED:.0%}")
     return {"count": count, "missed": len(missed), "rows": rows}
 
 
-def _draws(rng: Rng, paths: list[Path]) -> Iterator[dict[str, Any]]:
-    """Yield results of edits without end."""
-    known = {path: {(one.code, one.where) for one in check(path)} for path in paths}
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """A session to edit."""
+
+    path: Path
+    streams: dict[str, str]
+    """First stream of each kind."""
+    known: frozenset[tuple[str, str]]
+    """Codes and places of its findings."""
+
+
+def _recorded(folder: Path, bench: str, lab: str) -> Recorded:
+    folder.mkdir()
+    path = collected(bench, lab, folder / f"{bench}.zarr", targets=6)
+    session, known = Session(path), {(one.code, one.where) for one in check(path)}
+    kinds = {edit.kind: session.of_kind(edit.kind) for edit in EDITS}
+    return Recorded(
+        path, {kind: names[0] for kind, names in kinds.items() if names}, frozenset(known)
+    )
+
+
+def _draws(seed: int, sessions: list[Recorded]) -> Iterator[tuple[int, int, Recorded]]:
+    """Yield a seed, the number of an edit and a session that has its stream, without end."""
+    rng = np.random.default_rng(seed)
     while True:
-        for edit in rng.permutation(np.array(EDITS, object)):
-            path = paths[rng.integers(len(paths))]
-            session = Session(path)
-            if names := session.of_kind(edit.kind):
-                yield _edited(rng, edit, session, names[0], known[path])
+        for number in rng.permutation(len(EDITS)).tolist():
+            fitting = [one for one in sessions if EDITS[number].kind in one.streams]
+            if fitting:
+                yield int(rng.integers(1 << 30)), number, fitting[rng.integers(len(fitting))]
 
 
-def _edited(
-    rng: Rng, edit: Edit, session: Session, name: str, known: set[tuple[str, str]]
-) -> dict[str, Any]:
-    """Edit a stream of a session with known findings, write it, check it, and remove it."""
+def _edited(seed: int, number: int, recorded: Recorded) -> dict[str, Any]:
+    """Edit a stream of a session, write it, check it, and remove it."""
+    rng, edit, session = np.random.default_rng(seed), EDITS[number], Session(recorded.path)
+    name = recorded.streams[edit.kind]
     stream = session.streams[name]
     before, after = columns_of(stream), columns_of(stream)
     count, rate = len(stream), stream.rate_hz
@@ -298,10 +330,10 @@ def _edited(
     rows = slice(first, first + length if how == "a while" else count)
     late = edit.change(rng, after, rows)
     least_late = 3 * latency_sigma(stream)[0] + max(1 / rate, FRAME)
-    path = session.path.with_name("edited.zarr")
+    path = session.path.with_name(f"{number}-{seed}.zarr")
     write_edited(session, name, after, path)
     found = [each for each in check(path) if each.level != "note"]
-    found = [each for each in found if (each.code, each.where) not in known]
+    found = [each for each in found if (each.code, each.where) not in recorded.known]
     shutil.rmtree(path)
     return {
         "edit": f"{edit.kind}: {edit.name}",

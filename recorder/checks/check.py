@@ -24,8 +24,10 @@ from recorder.session.loss import (
     Losses,
     is_compressed,
     is_regular,
+    numbers,
     other_rate,
     unseen,
+    witnesses,
 )
 from recorder.session.reader import Session
 from recorder.session.states import READING, in_stalls, stalls, states
@@ -321,8 +323,10 @@ def _taxels_spec(shape: tuple[int, ...] | None) -> StreamSpec:
 
 # Recorded content: times, sequence numbers and values.
 
-# A pause that lost nothing is a gap if it exceeds both this many periods and this duration [s].
-GAP_PERIODS, GAP_LEAST = 3.0, 0.05
+# A pause that lost nothing is a gap if it exceeds both this many periods and this duration [s]; one
+# that later samples catch up with, as the host was busy, if it exceeds this [s]. Time on either
+# side of a pause that tells [s].
+GAP_PERIODS, GAP_LEAST, BUSY, TELLS = 3.0, 0.05, 0.15, 1.0
 # Equal samples are frozen if they last longer than this [s] and number at least this many.
 FROZEN, FROZEN_SAMPLES = 1.0, 5
 # A stream may end this long before the last phase [s].
@@ -330,7 +334,6 @@ END_MARGIN = 0.25
 # A phase may begin this long before a stream does [s].
 START_MARGIN = 0.1
 
-_STEP_SAMPLES = 16  # on either side; enough that one or two late packets do not look like a step
 # Columns in which NaN means that the device sends no such value.
 _NAN_IS_FINE = {"device_t", "speed"}
 
@@ -459,7 +462,7 @@ def _check_times(
     if len(t_ns) < 2:
         return
     limit = max(GAP_PERIODS / rate_hz, GAP_LEAST)
-    jumped = np.zeros(0, np.intp) if compressed else _clock_steps(stream, rows, limit)
+    jumped = np.zeros(0, np.intp) if compressed else _clock_steps(stream, rows, losses, limit)
     known = np.concatenate([losses.row - 1, jumped])
     # Rows before a step of each kind, counted in the run, and the steps [s].
     found: dict[str, list[tuple[Array, Array]]] = defaultdict(list)
@@ -469,7 +472,10 @@ def _check_times(
         steps = np.diff(times) * NS
         explained = in_stalls(stood, times[:-1], times[1:])
         explained[known[(known >= part.start) & (known < part.stop)] - part.start] = True
-        kinds = {"time-order": (steps <= 0) & ~explained, "gap": (steps > limit) & ~explained}
+        late = (steps > limit) & ~explained
+        busy = np.flatnonzero(late & (steps <= BUSY))
+        late[busy] = _stays(stream, rows, losses, part.start + busy, limit)
+        kinds = {"time-order": (steps <= 0) & ~explained, "gap": late}
         if losses.source == SEQUENCE:
             kinds["seq-order"] = np.diff(stream.rows("seq", rows)[near]) <= 0
         for code, here in kinds.items():
@@ -504,7 +510,7 @@ def _check_times(
         yield Finding("rate", where, f"{message}, declared {rate_hz:g} Hz")
 
 
-def _clock_steps(stream: Stream, rows: slice, limit: float) -> NDArray[np.intp]:
+def _clock_steps(stream: Stream, rows: slice, losses: Losses, limit: float) -> NDArray[np.intp]:
     """Return the rows after which the offset between host and device has changed permanently."""
     # Without a device clock, a step cannot be distinguished from a device that paused: a gap.
     if "device_t" not in stream.small:
@@ -513,13 +519,31 @@ def _clock_steps(stream: Stream, rows: slice, limit: float) -> NDArray[np.intp]:
     if not np.isfinite(device_t).all():
         return np.zeros(0, np.intp)
     offset = (t_ns - t_ns[0]) * NS - (device_t - device_t[0])
-    step_rows = []
-    for at in map(int, np.flatnonzero(np.abs(np.diff(offset)) > limit)):
-        before = offset[max(at - _STEP_SAMPLES + 1, 0) : at + 1]
-        after = offset[at + 1 : at + 1 + _STEP_SAMPLES]
-        if abs(np.median(after) - np.median(before)) > limit / 2:
-            step_rows.append(at)
-    return np.array(step_rows, np.intp)
+    at = np.flatnonzero(np.abs(np.diff(offset)) > limit)
+    return at[_stays(stream, rows, losses, at, limit)]
+
+
+def _stays(
+    stream: Stream, rows: slice, losses: Losses, at: NDArray[np.intp], limit: float
+) -> NDArray[np.bool_]:
+    """Return True where times stay off those of the device, or of its rate, after rows `at` (n,).
+
+    Samples come late and never early, so the promptest on either side are compared; where there are
+    too few of them to tell, it is a delay.
+    """
+    t_ns, clock = stream.rows("t_ns", rows), witnesses(stream, rows).get("device_t")
+    near, stays = max(4, round(TELLS * stream.rate_hz)), np.zeros(len(at), np.bool_)
+    for k, row in enumerate(at.tolist()):
+        low, high = max(row + 1 - near, 0), min(row + 1 + near, len(t_ns))
+        numbered = numbers(np.arange(low, high), losses) / stream.rate_hz
+        offset = (t_ns[low:high] - t_ns[low]) * NS - (
+            numbered if clock is None else clock[low:high]
+        )
+        before, after = np.split(offset, [row + 1 - low])
+        shift = float(after.min() - before.min())
+        known = len(after if shift > 0 else before)
+        stays[k] = abs(shift) > limit / 2 and known > min(abs(shift) * stream.rate_hz + 4, near - 1)
+    return stays
 
 
 def _check_frozen(

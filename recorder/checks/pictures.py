@@ -23,8 +23,9 @@ Floats = NDArray[np.floating]
 
 # Pictures that are held at once, and about their pixels.
 HELD, HELD_PIXELS = 256, 1 << 21
-# Contrast over the usual one below which a picture is dark; and contrast and mean, in grey levels.
-DARK, DARKEST, BLACK = 0.3, 2.0, 30.0
+# Contrast over the usual one below which a picture is dark; and its brightest places, about twice
+# the contrast above the mean [grey levels]: an eighth of the range.
+DARK, DIM = 0.3, 32.0
 # How much better a turned picture agrees with the reference (correlation) than as it is, and size
 # of each of its maps, as `Looked.agrees` has them, in grey levels, from which that shows.
 TURNED, VARIED = 0.15, np.array([0.0, 2.0, 2.0, 6.0])
@@ -73,7 +74,7 @@ def pictures(presses: Presses) -> Iterator[Testimony]:
         if stream.rate_hz >= SLOW:
             pushed = _pushed(presses, name)
             yield from _exchanged(name, looked, pushed)
-            yield from _jumps(name, looked, pushed)
+            yield from _jumps(name, looked.change, looked.noise, pushed)
         if name == session.signal:
             yield from _still(presses, name, looked)
             yield from sheared(presses, stream, looked.flow)
@@ -187,17 +188,17 @@ def _broken(name: str, looked: Looked) -> Iterator[Testimony]:
 
 def _dark(name: str, looked: Looked) -> Iterator[Testimony]:
     """Pictures without contrast: a light that is off, a cover, a cable."""
-    contrast = looked.contrast
-    least = np.maximum(DARK * looked.usual, np.where(looked.level < BLACK, DARKEST, 0.0))
-    yield from most(
-        least / np.maximum(contrast, 1e-3),
-        "dark",
-        f"streams/{name}",
-        lambda row: (
+    contrast, level = looked.contrast, looked.level
+
+    def text(row: int) -> str:
+        return (
             f"row {row} has a contrast of {contrast[row]:.3g} grey levels, usual are "
-            f"{looked.usual:.3g}: check the light and the exposure"
-        ),
-    )
+            f"{looked.usual:.3g}, about {level[row]:.3g}: check the light and the exposure"
+        )
+
+    flat = DARK * looked.usual / np.maximum(contrast, 1e-3)
+    dim = DIM / np.maximum(level + 2 * contrast, 1e-3)
+    yield from most(np.maximum(flat, dim), "dark", f"streams/{name}", text)
 
 
 def _turned(name: str, looked: Looked) -> Iterator[Testimony]:
@@ -218,25 +219,17 @@ def _turned(name: str, looked: Looked) -> Iterator[Testimony]:
 
 def _pushed(presses: Presses, name: str) -> Floats:
     """Return how much more than usual a picture may differ from the next (n - 1,)."""
-    stream, force, session = presses.session.streams[name], presses.force, presses.session
+    stream, session = presses.session.streams[name], presses.session
     pushed = np.ones(max(len(stream) - 1, 0))
-    axes = presses.forces
     for run in range(max(len(session.runs), 1)):
-        if force is None or not axes:
-            break
-        rows, of_force = (session.rows_of_run(each, run) for each in (name, force.name))
-        if rows.stop - rows.start < 2 or of_force.stop - of_force.start < 2:
-            continue
-        times, values = force.t_ns[of_force], force.array("value")[of_force]
-        # A picture shows the force of up to `LATE` before it arrives.
-        at = stream.t_ns[rows]
-        first, last = np.searchsorted(times, (at[:-1] - round(LATE / NS), at[1:]))
-        last = np.minimum(last, len(times) - 1)
-        apart = np.max(
-            [np.abs(values[last, k] - values[np.minimum(first, last), k]) for k in axes], 0
-        )
-        limit = presses.felt(0, 1, 2)
-        pushed[rows.start : rows.stop - 1] = np.where(apart > limit, MORE, 1.0)
+        rows, (times, forces) = session.rows_of_run(name, run), presses.forces_of(run)
+        if rows.stop - rows.start > 1 and forces.size:
+            # A picture shows the force of up to `LATE` before it arrives.
+            at = stream.t_ns[rows]
+            ends = np.searchsorted(times, (at[:-1] - round(LATE / NS), at[1:]))
+            first, last = forces[np.minimum(ends, len(times) - 1)]
+            apart = np.abs(last - first).max(axis=1)
+            pushed[rows.start : rows.stop - 1] += (MORE - 1) * (apart > presses.felt(0, 1, 2))
     return pushed
 
 
@@ -251,45 +244,32 @@ def _exchanged(name: str, looked: Looked, pushed: Floats) -> Iterator[Testimony]
     )
 
 
-def _jumps(name: str, looked: Looked, pushed: Floats) -> Iterator[Testimony]:
-    """Pictures that are another one all at once, as when they are turned or of another time."""
-    change = looked.change
+def _jumps(name: str, change: Floats, noise: float, pushed: Floats) -> Iterator[Testimony]:
+    """Rows that are another one all at once, as when they are turned or of another time."""
     before, after = np.append(change[1], change[:-1]), np.append(change[1:], change[-2])
-    limit = (JUMP * np.maximum(before, after) + JUMP_NOISY * looked.noise) * pushed
+    limit = (JUMP * np.maximum(before, after) + JUMP_NOISY * noise) * pushed
     yield from most(
         change / np.maximum(limit, 1e-3),
         "image-jump",
         f"streams/{name}",
         lambda k: (
-            f"the picture changes at once from row {k} to {k + 1}: turned, exchanged, or lit "
-            "in another way"
+            f"it changes at once from row {k} to {k + 1}: turned, exchanged, or lit in another way"
         ),
     )
 
 
 def _late(presses: Presses, name: str, looked: Looked) -> Iterator[Testimony]:
     """Pictures that leave the reference at other times than the force does."""
-    force, stream, session = presses.force, presses.session.streams[name], presses.session
-    axes = presses.forces
-    if force is None or not axes:
-        return
-    seen_at, felt_at = captured(stream) * NS, captured(force) * NS
+    stream, session = presses.session.streams[name], presses.session
+    seen_at, reach = captured(stream) * NS, round(LONGEST * stream.rate_hz)
+    lags = np.arange(-reach, reach + 1) / stream.rate_hz
     for run in range(max(len(session.runs), 1)):
-        rows = session.rows_of_run(name, run)
+        rows, (moments, forces) = session.rows_of_run(name, run), presses.forces_of(run)
         moved = looked.moved[rows]
-        if len(moved) < 30 or np.isnan(moved).any():
+        if len(moved) < 30 or np.isnan(moved).any() or not forces.size:
             continue
-        of_force = session.rows_of_run(force.name, run)
-        if of_force.stop - of_force.start < 2:
-            continue
-        times, moments = seen_at[rows], felt_at[of_force]
-        values = force.array("value")[of_force]
-        size = np.sqrt(sum(values[:, axis] ** 2 for axis in axes))
-        order = np.argsort(moments, kind="stable")
-        moments, size = moments[order], size[order]
-        reach = round(LONGEST * stream.rate_hz)
-        lags = np.arange(-reach, reach + 1) / stream.rate_hz
-        at = (np.interp(times - lag, moments, size) for lag in lags)
+        times, size = seen_at[rows], np.linalg.norm(forces, axis=1)
+        at = (np.interp(times - lag, moments * NS, size) for lag in lags)
         agree = np.nan_to_num([np.corrcoef(moved, one)[0, 1] for one in at], nan=-1.0)
         best = int(agree.argmax())
         better = agree[best] > AGREE and agree[best] - agree[reach] > BETTER
@@ -357,21 +337,26 @@ def _way(stream: Stream, rows: tuple[int, int]) -> float:
 
 
 # Noise of a taxel's axis over that of others at rest below which it is dead, and the least such
-# noise [counts]: less may not show in whole numbers. Parts of a recording that are looked at one by
-# one, and their least rows; noise at rest is that of the quietest, which a third of taxels exceed.
-DEAD, QUIET, PARTS, PART_ROWS, LIVELY = 0.05, 0.5, 10, 20, 0.65
+# noise [counts]: less may not show in whole numbers. Time of a part that is looked at alone [s],
+# and its least rows; noise at rest is that of the quietest part, which a third of taxels exceed.
+DEAD, QUIET, PART, PART_ROWS, LIVELY = 0.2, 1.5, 0.35, 20, 0.65
 
 
 def taxels(presses: Presses) -> Iterator[Testimony]:
     """Taxels that always have one value while others change."""
     for name in presses.session.of_kind("taxels"):
-        values = np.asarray(presses.session.streams[name].array("value"), np.float64)
+        stream = presses.session.streams[name]
+        values = np.asarray(stream.array("value"), np.float64)
         if len(values) >= 10 and values.ndim == 3:
-            yield from _dead(name, values)
+            yield from _dead(name, values, stream.rate_hz)
             if name == presses.session.signal and values.shape[2] == 3:
                 sides = (values[..., 0] + 1j * values[..., 1]).sum(axis=1)
-                yield from sheared(presses, presses.session.streams[name], np.diff(sides))
-                yield from taxel_order(presses, presses.session.streams[name], values)
+                yield from sheared(presses, stream, np.diff(sides))
+                yield from taxel_order(presses, stream, values)
+            if presses.forces and stream.rate_hz >= SLOW:
+                change = np.sqrt(np.square(np.diff(values, axis=0)).mean(axis=(1, 2)))
+                noise = float(np.quantile(change, 0.2))
+                yield from _jumps(name, change, noise, _pushed(presses, name))
             yield from _late_taxels(presses, name, values)
 
 
@@ -383,8 +368,8 @@ def _late_taxels(presses: Presses, name: str, values: Floats) -> Iterator[Testim
         yield from timing(presses, session.streams[name], beyond_noise(moved))
 
 
-def _dead(name: str, values: Floats) -> Iterator[Testimony]:
-    parts = [part for part in np.array_split(values, PARTS) if len(part) >= PART_ROWS] or [values]
+def _dead(name: str, values: Floats, rate_hz: float) -> Iterator[Testimony]:
+    parts = np.array_split(values, max(1, len(values) // max(PART_ROWS, round(PART * rate_hz))))
     noise = np.array([np.diff(part, axis=0).std(axis=0) for part in parts])
     usual = np.quantile(noise.min(axis=0), LIVELY, axis=0)  # (axes,)
     known = np.flatnonzero(usual > QUIET)

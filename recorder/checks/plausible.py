@@ -61,14 +61,15 @@ def doubts(
 # The gauge.
 
 # Time away from all presses after which a skin has recovered [s], part of it that is looked at at
-# once, and height of the tip [m].
-RECOVERED, CLEAR_PART, CLEAR_HEIGHT = 1.5, 0.25, 1e-3
+# once, and height of the tip [m]; and that on the way down to a press.
+RECOVERED, CLEAR_PART, CLEAR_HEIGHT, CLEAR_DOWN = 1.5, 0.25, 1e-3, 0.1e-3
 # Force without contact [N], and over the largest in a press.
 CLEAR_LEAST, CLEAR_OF_PEAK = 0.3, 0.05
-# Largest factor of a force beside the expected interval, and beside other presses of its depth.
-SCALE, BESIDE = 3.0, 3.0
-# Change of the force of a control press, over it, and the least one [N].
-CHANGED, CHANGED_LEAST = 0.05, 0.05
+# Largest factor of a force beside the expected interval.
+SCALE = 3.0
+# Change of the force of a control press, over it, and the least one [N]. Time from arrival at the
+# depth in which a press's force counts [s]: a skin that is held relaxes.
+CHANGED, CHANGED_LEAST, ARRIVED = 0.05, 0.05, 0.06
 # Known factors between units, by the one that was taken for a newton.
 UNITS = {
     "mN (1000)": 1e3,
@@ -156,6 +157,16 @@ def clear_force(presses: Presses) -> Iterator[Testimony]:
     doubt, found = [], []
     allowed = max(CLEAR_LEAST, CLEAR_OF_PEAK * _peak(presses))
     limits = np.maximum(allowed, NOISE * presses.sigma[:3])
+
+    def felt(level: Floats, row: int) -> None:
+        axes = presses.forces
+        size = np.abs(level[axes]) / limits[axes]
+        doubt.append(float(size.max()))
+        found.append((axes[int(size.argmax())], level, row))
+
+    for one in presses.of(DOWN):
+        if (above := one.depth < -CLEAR_DOWN).sum() >= NOISE:
+            felt(np.median(one.wrench[above], axis=0), one.first)
     for run in range(max(len(session.runs), 1)):
         rows = session.rows_of_run(force.name, run)
         times, first = force.t_ns[rows], int(rows.start or 0)
@@ -181,10 +192,7 @@ def clear_force(presses: Presses) -> Iterator[Testimony]:
                 target = int(segments["target"][order[min(number, len(order) - 1)]])
                 values = presses.values(first + int(low), first + int(high))
                 level = np.median(values, axis=0) - presses.offset(run, target, at)
-                axes = presses.forces
-                size = np.abs(level[axes]) / limits[axes]
-                doubt.append(float(size.max()))
-                found.append((axes[int(size.argmax())], level, first + int(low)))
+                felt(level, first + int(low))
 
     def text(worst: int) -> str:
         axis, level, row = found[worst]
@@ -242,32 +250,6 @@ def scale(presses: Presses) -> Iterator[Testimony]:
                 "scale", _where(presses), f"{message}: check the unit, the skin and the indenter"
             ),
         )
-    yield from _beside(presses, tops)
-
-
-def _beside(presses: Presses, tops: list[tuple[float, float, Phase]]) -> Iterator[Testimony]:
-    """Yield presses whose force is of another size than that of the others of their depth."""
-    doubt, found = [], []
-    for depth in {round(depth, 6) for depth, _force, _one in tops}:
-        alike = [(force, one) for other, force, one in tops if round(other, 6) == depth]
-        if (
-            len(alike) < 3
-            or (middle := float(np.median([force for force, _one in alike]))) < LOADED
-        ):
-            continue
-        for force, one in alike:
-            factor = max(force, 1e-9) / middle
-            doubt.append(float(max(factor, 1 / factor) / BESIDE))
-            found.append((one, factor))
-
-    def text(worst: int) -> str:
-        one, factor = found[worst]
-        return (
-            f"target {one.target + 1} has {factor:.3g} times the force of the other presses of its "
-            f"depth, from row {one.first}"
-        )
-
-    yield from most(doubt, "scale", _where(presses), text)
 
 
 def control(presses: Presses) -> Iterator[Testimony]:
@@ -298,8 +280,8 @@ def _deepest(presses: Presses) -> list[tuple[float, float, Phase]]:
     found = []
     for one in presses.of(DOWN):
         depth = presses.planned("depth", one.target)
-        at = one.depth > 0.95 * depth
-        if one.whole and depth >= DEEP and at.sum() >= 3 and 2 in presses.measured:
+        at = np.flatnonzero(one.depth > 0.95 * depth)[: round(ARRIVED * presses.force.rate_hz)]
+        if one.whole and depth >= DEEP and len(at) >= 3 and 2 in presses.measured:
             found.append((depth, float(-np.median(one.wrench[at, 2])), one))
     return found
 
