@@ -355,8 +355,8 @@ def taxels(presses: Presses) -> Iterator[Testimony]:
                 yield from taxel_order(presses, stream, values)
             if presses.forces and stream.rate_hz >= SLOW:
                 change = np.sqrt(np.square(np.diff(values, axis=0)).mean(axis=(1, 2)))
-                noise = float(np.quantile(change, 0.2))
-                yield from _jumps(name, change, noise, _pushed(presses, name))
+                noise, late = float(np.quantile(change, 0.2)), np.diff(stream.t_ns) * NS
+                yield from _jumps(name, change, noise, np.maximum(late * stream.rate_hz, 1.0))
             yield from _late_taxels(presses, name, values)
 
 

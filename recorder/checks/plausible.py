@@ -278,9 +278,10 @@ def control(presses: Presses) -> Iterator[Testimony]:
 def _deepest(presses: Presses) -> list[tuple[float, float, Phase]]:
     """Return planned depth [m], compression at it [N] and phase of the whole presses."""
     found = []
+    rate_hz = 0.0 if presses.force is None else presses.force.rate_hz
     for one in presses.of(DOWN):
         depth = presses.planned("depth", one.target)
-        at = np.flatnonzero(one.depth > 0.95 * depth)[: round(ARRIVED * presses.force.rate_hz)]
+        at = np.flatnonzero(one.depth > 0.95 * depth)[: round(ARRIVED * rate_hz)]
         if one.whole and depth >= DEEP and len(at) >= 3 and 2 in presses.measured:
             found.append((depth, float(-np.median(one.wrench[at, 2])), one))
     return found

@@ -21,8 +21,8 @@ from recorder.session.small_pictures import reference_rows, rms, small_size, sma
 Floats = NDArray[np.float64]
 Level = Callable[[range], Floats]
 
-# Delays that are tried [s]; time around a phase that is looked at [s]; most samples of a phase, and
-# fewest; and how much of a signal the depth must explain.
+# Delays that are tried [s]; time around a phase that is looked at [s], and at least three periods;
+# most samples of a phase, and fewest; and how much of a signal the depth must explain.
 DELAYS, AROUND, MOST, FEWEST, EXPLAINED = np.arange(-0.4, 0.401, 0.01), 0.1, 60, 6, 0.98
 
 
@@ -116,7 +116,7 @@ def picture_level(presses: Presses, stream: Stream, phases: Sequence[Phase]) -> 
 
 def _rows(presses: Presses, one: Phase, stream: Stream) -> range:
     """Return at most some `MOST` rows of a stream in a phase, and a little around it."""
-    around = round(AROUND / NS)
+    around = round(max(AROUND, 3 / stream.rate_hz) / NS)
     end = one.end + around * (one.code == UP)
     rows = presses.rows(stream, one.run, one.start - around, end)
     return rows[:: max(1, len(rows) // MOST)]

@@ -204,7 +204,8 @@ def sigmas_of(session: Session) -> list[dict[str, TimeSigma]]:
         SessionError: A corrupt column.
     """
     presses = Presses(session)
-    phases, parts = timed_phases(presses), []
+    parts: list[dict[str, TimeSigma]] = []
+    phases = timed_phases(presses)
     for run in range(max(len(session.runs), 1)):
         of_run = [one for one in phases if one.run == run]
         parts.append({})
