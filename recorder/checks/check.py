@@ -348,11 +348,10 @@ def check_stream(
     note = uncalibrated(stream)
     if note is not None and account.rows:
         yield Finding("uncalibrated", stream_path, note)
-    compressed = is_compressed(session.attrs)
     for run, losses in enumerate(account.runs):
         rows = session.rows_of_run(stream.name, run)
         stood = stalls(session, run)
-        yield from _check_times(stream_path, stream, rows, losses, compressed, stood)
+        yield from _check_times(session, run, stream, losses)
         still = "still" in (stream.attrs.get("source_motion"), session.attrs.get("source_motion"))
         # A scale repeats one reading while its load rests.
         if stream.traits.defaults.changes and not still and READING not in stream.small:
@@ -450,17 +449,12 @@ def _check_losses(session: Session, where: str, name: str, account: Account) -> 
         yield Finding("drops-unseen", where, unseen(account))
 
 
-def _check_times(
-    where: str,
-    stream: Stream,
-    rows: slice,
-    losses: Losses,
-    compressed: bool,
-    stood: NDArray[np.int64],
-) -> Iterator[Finding]:
+def _check_times(session: Session, run: int, stream: Stream, losses: Losses) -> Iterator[Finding]:
+    where, rows = f"streams/{stream.name}", session.rows_of_run(stream.name, run)
     first, t_ns, rate_hz = rows.start or 0, stream.rows("t_ns", rows), stream.rate_hz
     if len(t_ns) < 2:
         return
+    compressed, stood = is_compressed(session.attrs), stalls(session, run)
     limit = max(GAP_PERIODS / rate_hz, GAP_LEAST)
     jumped = np.zeros(0, np.intp) if compressed else _clock_steps(stream, rows, losses, limit)
     known = np.concatenate([losses.row - 1, jumped])
@@ -503,11 +497,14 @@ def _check_times(
             f"{at.size} found, longest {steps[worst]:.3f} s before row {first + at[worst] + 1}"
         )
         yield Finding("gap", where, f"{message}, limit {limit:.3f} s")
-    stretch = other_rate(t_ns, rate_hz, losses)
+    rates = session.runs[run].get("rates_hz") if session.runs else None
+    before = rates.get(stream.name) if isinstance(rates, dict) else None
+    known = before if isinstance(before, float) and before > 0 else rate_hz
+    stretch = other_rate(t_ns, known, losses)
     if stretch is not None:
         row, seconds, measured = stretch
         message = f"{measured:.4g} Hz for {seconds:.1f} s from row {first + row}"
-        yield Finding("rate", where, f"{message}, declared {rate_hz:g} Hz")
+        yield Finding("rate", where, f"{message}, before the recording {known:.4g} Hz")
 
 
 def _clock_steps(stream: Stream, rows: slice, losses: Losses, limit: float) -> NDArray[np.intp]:

@@ -299,8 +299,9 @@ def _still(presses: Presses, name: str, looked: Looked) -> Iterator[Testimony]:
             aside = np.linalg.norm(last[:, :2] - first[:, :2], axis=1)
             ways.append(np.abs(depths[1] - depths[0]) + pressed * aside)
         found += at[np.min(ways, axis=0) > HALT_WAY].tolist()
-    if np.mean(looked.change > 0) > 0.9:  # with noise, no picture comes again
-        found += np.flatnonzero(looked.later == 0).tolist()
+    if np.mean(looked.change > 0) > 0.9:  # with noise, no two pictures come again
+        again = looked.later == 0
+        found += np.flatnonzero(again[1:] & again[:-1]).tolist()
     changes = looked.later[found] / looked.noise
     if len(found) and (np.median(changes) > SHOWS or np.median(changes) < STILL):
         yield from most(

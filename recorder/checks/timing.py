@@ -14,8 +14,9 @@ from recorder.session.uncertainty import latency_sigma, since_shown
 
 # Standard deviations of the latency that a delay may have, besides one frame, and the least of that
 # [s]. Time that a single press may be beside others [s], and what the arm's way then leaves of its
-# signal, over the spread of others. Factor to other presses of its depth, and of its point.
-SIGMAS, FRAME, APART, UNLIKE, BESIDE = 3.0, 1 / 30, 0.06, 0.4, 3.0
+# signal, over the spread of others. Factor to others of its depth and point; and part of a signal
+# that there may be at another point.
+SIGMAS, FRAME, APART, UNLIKE, BESIDE, PLACE = 3.0, 1 / 30, 0.06, 0.4, 3.0, 0.4
 
 
 def timing(presses: Presses, stream: Stream, level: Level) -> Iterator[Testimony]:
@@ -28,7 +29,8 @@ def timing(presses: Presses, stream: Stream, level: Level) -> Iterator[Testimony
     limit = SIGMAS * sigma + max(1 / stream.rate_hz, FRAME)
     usual = float(np.median([one.delay for one in told]))
     late = float(since_shown(stream, [usual])[0]) - 0.5 * (longest or 0.0)
-    near, spread = np.abs(DELAYS - usual) < APART, float(np.median([one.spread for one in told]))
+    near, spreads = np.abs(DELAYS - usual) < APART, np.array([one.spread for one in found])
+    spread = float(np.median([one.spread.max() for one in told]))
     left = [float(one.left[near].min()) / spread for one in found]
 
     def text(worst: int) -> str:
@@ -43,25 +45,22 @@ def timing(presses: Presses, stream: Stream, level: Level) -> Iterator[Testimony
     kind, where = stream.traits.kind, f"streams/{stream.name}"
     code = "force-time" if kind == "force" else "image-time"
     yield from most([abs(late) / limit, *np.array(left) / UNLIKE], code, where, text)
-    plans = [
-        (
-            presses.planned("depth", one.target),
-            kind == "force" or presses.planned("point", one.target),
-        )
-        for one in found
-    ]
-    factors = []
-    for one, plan in zip(found, plans, strict=True):
-        alike = [other.spread for other, of in zip(found, plans, strict=True) if of == plan]
-        usual = float(np.median(alike)) if len(alike) > 2 else one.spread
-        factors.append(max(one.spread, 1e-9) / max(usual, 1e-9))
+    by = ("depth",) if kind == "force" else ("depth", "point")
+    plans = np.array([[presses.planned(name, one.target) for name in by] for one in found])
+    worst = []
+    for plan, own in zip(plans, spreads, strict=True):
+        alike = spreads[(np.abs(plans - plan) < 1e-6).all(axis=1)]
+        few = len(alike) < 3
+        usual = np.median(spreads[plans[:, 0] <= plan[0]] if few else alike, axis=0)
+        ratio = np.maximum(own / np.maximum(usual, 1e-9), 1e-9)
+        worst.append(min(ratio.min() / PLACE, 1.0) if few else min(ratio.min(), 1 / ratio.max()))
     yield from most(
-        [max(one, 1 / one) / BESIDE for one in factors],
+        1 / (BESIDE * np.array(worst)),
         "scale",
         where,
         lambda k: (
-            f"target {found[k].target + 1} has {factors[k]:.3g} times the signal of others "
-            "of its depth"
+            f"target {found[k].target + 1} has {1 / worst[k]:.3g} times more, or less, of the "
+            "signal than others of its depth"
         ),
     )
 

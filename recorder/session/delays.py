@@ -37,8 +37,8 @@ class PressDelay(NamedTuple):
     """Time by which the stream is behind the arm [s]; NaN if it cannot be told."""
     left: Floats
     """Spread of the signal that the depth does not explain, at each of `DELAYS` (d,)."""
-    spread: float
-    """Spread of the signal."""
+    spread: Floats
+    """Spread of the signal on both ways (2,)."""
 
 
 def press_delays(
@@ -60,7 +60,9 @@ def press_delays(
             delay, spread, left = map(np.array, zip(*both, strict=True))
             if np.isfinite(spread).all():
                 down, worst = of_press[DOWN], left.max(axis=0)
-                found.append(PressDelay(down.target, down.start, delay.mean(), worst, spread.max()))
+                found.append(
+                    PressDelay(down.target, down.start, float(delay.mean()), worst, spread)
+                )
     return found
 
 

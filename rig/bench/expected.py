@@ -117,6 +117,6 @@ def mount_of(world: WorldSpec) -> dict[str, Any]:
     from sim.sensors import sensor_of
 
     signal = sensor_of(world.sensor).signal
-    turned = getattr(signal, "rotation", 0.0) + math.radians(world.lab.camera_turned_deg)
     places = getattr(signal, "places", np.zeros((0, 2))).tolist()
+    turned = 0.0 if places else signal.rotation + math.radians(world.lab.camera_turned_deg)
     return {"turned": turned, "taxels": places, "gauge": [0.0, 0.0, -world.gauge_depth]}

@@ -80,7 +80,7 @@ def test_healthy_sessions_leave_all_witnesses_at_half_of_their_thresholds(tmp_pa
         ("wrong-sign", times(*[-1] * 6)),
         ("impossible", times(*[1e4] * 6)),
         ("impossible", part(times(*[1e300] * 6))),
-        ("scale", part(times(*[0.1] * 6))),
+        ("force-step", part(times(*[0.1] * 6))),
         ("scale", part(times(*[4.448] * 6))),
         ("depth-force", lambda rows: np.roll(rows["value"], 400, axis=0)),
         ("force-time", lambda rows: np.roll(rows["value"], 60, axis=0)),

@@ -132,7 +132,7 @@ def test_errors_under_random_delays_lie_within_twice_the_uncertainty(tmp_path: P
         return {**columns, "t_ns": np.maximum.accumulate(arrived) + np.arange(len(true))}
 
     session = session_with(tmp_path / "s.zarr", {}, change=delayed)
-    for name, part in sigmas_of(session, 0).items():
+    for name, part in sigmas_of(session)[0].items():
         error = (session.streams[name].t_ns - truth[name]) * 1e-9
         stated = part.of(session.streams[name].t_ns[:])
         assert (np.abs(error) <= 2 * stated).mean() >= 0.95, name
@@ -172,7 +172,7 @@ def test_a_latency_that_steps_or_ramps_is_covered_in_each_third(
     exact = {"latency": 0.0, "latency_calibration": {"interval_s": [-5e-4, 5e-4], "method": "taps"}}
     set_attrs(path / "streams" / name, **exact)
     session = Session(path)
-    stated = 2 * sigmas_of(session, 0)[name].of(session.streams[name].t_ns[:])
+    stated = 2 * sigmas_of(session)[0][name].of(session.streams[name].t_ns[:])
     covers = [np.mean(part) for part in np.array_split(late[0] <= stated, 3)]
     assert min(covers) > 0.92, covers
     assert np.median(stated) < 0.1
@@ -181,4 +181,4 @@ def test_a_latency_that_steps_or_ramps_is_covered_in_each_third(
 @pytest.mark.parametrize("name", ["camera", "force"])
 def test_a_latency_that_stays_adds_nothing(tmp_path: Path, name: str) -> None:
     session = session_with(tmp_path / "s.zarr", {})
-    assert not sigmas_of(session, 0)[name].wander[1].any()
+    assert not sigmas_of(session)[0][name].wander[1].any()
