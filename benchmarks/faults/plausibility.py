@@ -75,6 +75,8 @@ class Edit:
     change: Change
     whole: bool = False
     """True if it makes sense for all rows alone."""
+    beside: bool = False
+    """True if only rows that stay as they are tell of it: counts of taxels have no known size."""
 
 
 def _times(factors: tuple[float, ...], *axes: int) -> Change:
@@ -204,7 +206,7 @@ EDITS = (
     Edit("repeated", "camera", _repeated),
     Edit("backward", "camera", _backward),
     Edit("sign", "taxels", _about_rest(lambda r, one: -one)),
-    Edit("scale", "taxels", _about_rest(lambda r, one: one * r.choice([0.1, 8.0]))),
+    Edit("scale", "taxels", _about_rest(lambda r, one: one * r.choice([0.1, 8.0])), beside=True),
     Edit("exchanged axes", "taxels", _about_rest(lambda r, one: one[..., [2, 0, 1]])),
     Edit("mirrored", "taxels", _about_rest(lambda r, one: one[:, ::-1]), whole=True),
     Edit("late", "taxels", _late),
@@ -324,9 +326,9 @@ def _edited(seed: int, number: int, recorded: Recorded) -> dict[str, Any]:
     stream = session.streams[name]
     before, after = columns_of(stream), columns_of(stream)
     count, rate = len(stream), stream.rate_hz
-    how = "whole" if edit.whole else rng.choice(["whole", "from here", "a while"])
+    how = "whole" if edit.whole else rng.choice(["whole", "from here", "a while"][edit.beside :])
     length = int(min(count // 2, rng.uniform(0.7, 4.0) * rate))
-    first = 0 if how == "whole" else int(rng.integers(1, count - length))
+    first = 0 if how == "whole" else int(rng.integers(count // 2 * edit.beside + 1, count - length))
     rows = slice(first, first + length if how == "a while" else count)
     late = edit.change(rng, after, rows)
     least_late = 3 * latency_sigma(stream)[0] + max(1 / rate, FRAME)
