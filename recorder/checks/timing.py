@@ -6,66 +6,72 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from recorder.checks.testimony import Testimony, most
+from recorder.checks.testimony import Testimony, worst
+from recorder.findings import Finding
 from recorder.session.columns import Stream
 from recorder.session.delays import DELAYS, Level, force_level, press_delays, timed_phases
 from recorder.session.presses import Presses
 from recorder.session.uncertainty import latency_sigma, since_shown
 
 # Standard deviations of the latency that a delay may have, besides one frame, and the least of that
-# [s]. Time that a single press may be beside others [s], and what the arm's way then leaves of its
-# signal, over the spread of others. Factor to others of its depth and point; and part of a signal
-# that there may be at another point.
-SIGMAS, FRAME, APART, UNLIKE, BESIDE, PLACE = 3.0, 1 / 30, 0.06, 0.4, 3.0, 0.4
+# [s]; standard errors of the delay itself. Time that a single press may be beside others [s], and
+# what the arm's way then leaves of its signal, over the spread of others. Factor to others of its
+# depth and point; and part of a signal that there may be at another point.
+SIGMAS, FRAME, ERRORS, APART, UNLIKE, BESIDE, PLACE = 3.0, 1 / 30, 3.0, 0.06, 0.4, 3.0, 0.4
+# Least number of presses that tell if a force follows the depth, its spread over a felt force, and
+# what the depth leaves of it in the median.
+SEVERAL, SPREAD, LEAVES = 5, 0.4, 0.8
 
 
 def timing(presses: Presses, stream: Stream, level: Level) -> Iterator[Testimony]:
     """Yield the testimonies about the presses in a stream, whose signal has a level."""
     found = press_delays(presses, stream, level, timed_phases(presses))
-    told = [one for one in found if np.isfinite(one.delay)]
-    if len(told) < 2:
-        return
+    told = np.array([one.delay for one in found if np.isfinite(one.delay)])
+    kind, where = stream.traits.kind, f"streams/{stream.name}"
     sigma, longest = latency_sigma(stream)
     limit = SIGMAS * sigma + max(1 / stream.rate_hz, FRAME)
-    usual = float(np.median([one.delay for one in told]))
-    late = float(since_shown(stream, [usual])[0]) - 0.5 * (longest or 0.0)
-    near, spreads = np.abs(DELAYS - usual) < APART, np.array([one.spread for one in found])
-    spread = float(np.median([one.spread.max() for one in told]))
-    left = [float(one.left[near].min()) / spread for one in found]
-
-    def text(worst: int) -> str:
-        if worst:
-            which = f"in target {found[worst - 1].target + 1}, {left[worst - 1]:.0%} of it does"
-            return f"{which} not follow the arm's way into the skin: check the times of both"
-        return (
-            f"in {len(told)} presses it is {1e3 * late:+.0f} ms behind the arm's way into the skin,"
-            f" allowed {1e3 * limit:.0f} ms: check the latency, and the clocks of both"
+    felt = [one for one in found if one.spread.max() > SPREAD * presses.felt(2)]
+    if kind == "force" and len(felt) >= SEVERAL:
+        near = np.abs(DELAYS) <= limit
+        part = float(np.median([one.left[near].min() / one.spread.max() for one in felt]))
+        message = (
+            f"{part:.0%} of it is not by the depth in the median of {len(felt)} presses: check"
         )
-
-    kind, where = stream.traits.kind, f"streams/{stream.name}"
-    code = "force-time" if kind == "force" else "image-time"
-    yield from most([abs(late) / limit, *np.array(left) / UNLIKE], code, where, text)
-    by = ("depth",) if kind == "force" else ("depth", "point")
+        finding = Finding("depth-force", where, f"{message} axes, times, and that the tip touches")
+        yield Testimony(part / LEAVES, finding)
+    if len(told) < 2:
+        return
+    usual = float(np.median(told))
+    late = float(since_shown(stream, [usual])[0]) - 0.5 * (longest or 0.0)
+    limit += ERRORS * 1.48 * float(np.median(np.abs(told - usual))) / len(told) ** 0.5
+    near, spreads = np.abs(DELAYS - usual) < APART, np.array([one.spread for one in found])
+    spread = float(np.median(spreads.max(axis=1)))
+    text = (
+        f"in {len(told)} presses it is {1e3 * late:+.0f} ms behind the arm's way into the skin, "
+        f"allowed {1e3 * limit:.0f} ms: check the latency, and the clocks of both"
+    )
+    some = [(abs(late) / limit, text)]
+    for one in found:
+        part = float(one.left[near].min()) / spread
+        text = (
+            f"in target {one.target + 1}, {part:.0%} of it does not follow the arm's way into the"
+        )
+        some.append((part / UNLIKE, f"{text} skin: check the times of both"))
+    yield from worst(some, "force-time" if kind == "force" else "image-time", where)
+    by, some = ("depth",) if kind == "force" else ("depth", "point"), []
     plans = np.array([[presses.planned(name, one.target) for name in by] for one in found])
-    worst = []
-    for plan, own in zip(plans, spreads, strict=True):
+    for one, plan in zip(found, plans, strict=True):
         alike = spreads[(np.abs(plans - plan) < 1e-6).all(axis=1)]
         few = len(alike) < 3
-        usual = np.median(spreads[plans[:, 0] <= plan[0]] if few else alike, axis=0)
-        ratio = np.maximum(own / np.maximum(usual, 1e-9), 1e-9)
-        worst.append(min(ratio.min() / PLACE, 1.0) if few else min(ratio.min(), 1 / ratio.max()))
-    yield from most(
-        1 / (BESIDE * np.array(worst)),
-        "scale",
-        where,
-        lambda k: (
-            f"target {found[k].target + 1} has {1 / worst[k]:.3g} times more, or less, of the "
-            "signal than others of its depth"
-        ),
-    )
+        others = np.median(spreads[plans[:, 0] <= plan[0]] if few else alike, axis=0)
+        ratio = np.maximum(one.spread / np.maximum(others, 1e-9), 1e-9)
+        factor = max(1.0, PLACE / ratio.min()) if few else max(1 / ratio.min(), ratio.max())
+        text = f"target {one.target + 1} has {factor:.3g} times more, or less, of the signal than"
+        some.append((factor / BESIDE, f"{text} others of its depth"))
+    yield from worst(some, "scale", where)
 
 
 def force_timing(presses: Presses) -> Iterator[Testimony]:
-    """Times of the gauge beside those of the arm."""
+    """Times and sizes of the gauge's presses beside the arm's way."""
     if presses.force is not None and presses.forces:
         yield from timing(presses, presses.force, force_level(presses))
