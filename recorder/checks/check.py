@@ -475,36 +475,32 @@ def _check_times(session: Session, run: int, stream: Stream, losses: Losses) -> 
         for code, here in kinds.items():
             found[code].append((part.start + np.flatnonzero(here), steps[here]))
     found["clock-step"] = [(jumped, np.array([(t_ns[k + 1] - t_ns[k]) * NS for k in jumped[:1]]))]
+    whole = {code: [*map(np.concatenate, zip(*some, strict=True))] for code, some in found.items()}
     for code, of, digits in (
         ("clock-step", "", 3),
-        ("seq-order", "/seq", None),
+        ("seq-order", "/seq", 0),
         ("time-order", "", 6),
     ):
-        at, steps = map(
-            np.concatenate, zip(*found.get(code, [(known[:0], known[:0])]), strict=True)
-        )
+        at, steps = whole.get(code, (known[:0], known[:0]))
         if at.size:
-            by = "" if digits is None else f", {steps[0]:+.{digits}f} s"
-            yield Finding(
-                code, where + of, f"{at.size} found, first at row {first + at[0] + 1}{by}"
-            )
+            by = f", {steps[0]:+.{digits}f} s" if digits else ""
+            message = f"{at.size} found, first at row {first + at[0] + 1}{by}"
+            yield Finding(code, where + of, message)
     if compressed or losses.source == EVENTS:
         return
-    at, steps = map(np.concatenate, zip(*found["gap"], strict=True))
+    at, steps = whole["gap"]
     if at.size:
-        worst = int(np.argmax(steps))
-        message = (
-            f"{at.size} found, longest {steps[worst]:.3f} s before row {first + at[worst] + 1}"
-        )
+        row = first + at[np.argmax(steps)] + 1
+        message = f"{at.size} found, longest {steps.max():.3f} s before row {row}"
         yield Finding("gap", where, f"{message}, limit {limit:.3f} s")
     rates = session.runs[run].get("rates_hz") if session.runs else None
     before = rates.get(stream.name) if isinstance(rates, dict) else None
-    known = before if isinstance(before, float) and before > 0 else rate_hz
-    stretch = other_rate(t_ns, known, losses)
+    due_hz = before if isinstance(before, float) and before > 0 else rate_hz
+    stretch = other_rate(t_ns, due_hz, losses)
     if stretch is not None:
         row, seconds, measured = stretch
         message = f"{measured:.4g} Hz for {seconds:.1f} s from row {first + row}"
-        yield Finding("rate", where, f"{message}, before the recording {known:.4g} Hz")
+        yield Finding("rate", where, f"{message}, before the recording {due_hz:.4g} Hz")
 
 
 def _clock_steps(stream: Stream, rows: slice, losses: Losses, limit: float) -> NDArray[np.intp]:
@@ -532,11 +528,10 @@ def _stays(
     near, stays = max(4, round(TELLS * stream.rate_hz)), np.zeros(len(at), np.bool_)
     for k, row in enumerate(at.tolist()):
         low, high = max(row + 1 - near, 0), min(row + 1 + near, len(t_ns))
-        numbered = numbers(np.arange(low, high), losses) / stream.rate_hz
-        offset = (t_ns[low:high] - t_ns[low]) * NS - (
-            numbered if clock is None else clock[low:high]
-        )
-        before, after = np.split(offset, [row + 1 - low])
+        due = numbers(np.arange(low, high), losses) / stream.rate_hz
+        if clock is not None and np.isfinite(clock[low:high]).all():
+            due = clock[low:high]
+        before, after = np.split((t_ns[low:high] - t_ns[low]) * NS - due, [row + 1 - low])
         shift = float(after.min() - before.min())
         known = len(after if shift > 0 else before)
         stays[k] = abs(shift) > limit / 2 and known > min(abs(shift) * stream.rate_hz + 4, near - 1)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.checks.directions import sheared, taxel_order
-from recorder.checks.testimony import Testimony, most
+from recorder.checks.testimony import Testimony, most, worst
 from recorder.checks.timing import timing
 from recorder.findings import Finding
 from recorder.session.align import NS, captured
@@ -67,7 +67,8 @@ def pictures(presses: Presses) -> Iterator[Testimony]:
             begin = session.rows_of_run(name, run).start or 0
             looked.change[max(begin - 1, 0) : begin] = 0.0
             looked.odd[max(begin - 2, 0) : begin] = 0.0
-        yield from _broken(name, looked)
+        bad = [(np.inf, f"row {row}: {why}") for row, why in looked.broken.items()]
+        yield from worst(bad, "bad-image", f"streams/{name}")
         yield from _dark(name, looked)
         yield from _turned(name, looked)
         yield from _aside(presses, name)
@@ -180,25 +181,13 @@ def _agreement(maps: Floats, references: Floats) -> Floats:
     return np.asarray((found / sizes[:, None]).transpose(2, 0, 1))
 
 
-def _broken(name: str, looked: Looked) -> Iterator[Testimony]:
-    """Pictures that cannot be decoded."""
-    rows = [f"row {row}: {why}" for row, why in looked.broken.items()]
-    yield from most([np.inf] * len(rows), "bad-image", f"streams/{name}", rows.__getitem__)
-
-
 def _dark(name: str, looked: Looked) -> Iterator[Testimony]:
     """Pictures without contrast: a light that is off, a cover, a cable."""
-    contrast, level = looked.contrast, looked.level
-
-    def text(row: int) -> str:
-        return (
-            f"row {row} has a contrast of {contrast[row]:.3g} grey levels, usual are "
-            f"{looked.usual:.3g}, about {level[row]:.3g}: check the light and the exposure"
-        )
-
-    flat = DARK * looked.usual / np.maximum(contrast, 1e-3)
-    dim = DIM / np.maximum(level + 2 * contrast, 1e-3)
-    yield from most(np.maximum(flat, dim), "dark", f"streams/{name}", text)
+    contrast, level = np.maximum(looked.contrast, 1e-3), looked.level
+    doubt = np.maximum(DARK * looked.usual / contrast, DIM / (level + 2 * contrast))
+    text = f"{{:.3g}} grey levels about {{:.3g}}, usual are {looked.usual:.3g}: check the light"
+    words = ("row {} has a contrast of " + text).format
+    yield from most(doubt, "dark", f"streams/{name}", lambda k: words(k, contrast[k], level[k]))
 
 
 def _turned(name: str, looked: Looked) -> Iterator[Testimony]:
@@ -207,11 +196,9 @@ def _turned(name: str, looked: Looked) -> Iterator[Testimony]:
     best, as_is = agrees[1:].max(axis=0), agrees[0]
 
     def text(k: int) -> str:
-        return (
-            f"row {k % len(looked.level)} shows the reference "
-            f"{list(TURNS)[int(agrees[1:, k].argmax())]} (correlation {best[k]:.2f}, "
-            f"{as_is[k]:.2f} as it is)"
-        )
+        how = list(TURNS)[int(agrees[1:, k].argmax())]
+        agree = f"(correlation {best[k]:.2f}, {as_is[k]:.2f} as it is)"
+        return f"row {k % len(looked.level)} shows the reference {how} {agree}"
 
     if not np.isnan(as_is).all():
         yield from most((best - as_is) / TURNED, "turned", f"streams/{name}", text)
@@ -236,26 +223,18 @@ def _pushed(presses: Presses, name: str) -> Floats:
 def _exchanged(name: str, looked: Looked, pushed: Floats) -> Iterator[Testimony]:
     """Single pictures that belong elsewhere: their neighbours agree, and they do not."""
     limit = (ODD * looked.apart + NOISY * looked.noise) * np.maximum(pushed[1:], pushed[:-1])
-    yield from most(
-        looked.odd / np.maximum(limit, 1e-3),
-        "odd-image",
-        f"streams/{name}",
-        lambda k: f"row {k + 1} differs from its neighbours, which are alike: exchanged, or torn",
-    )
+    doubt, words = looked.odd / np.maximum(limit, 1e-3), "which are alike: exchanged, or torn"
+    text = f"row {{}} differs from its neighbours, {words}".format
+    yield from most(doubt, "odd-image", f"streams/{name}", lambda k: text(k + 1))
 
 
 def _jumps(name: str, change: Floats, noise: float, pushed: Floats) -> Iterator[Testimony]:
     """Rows that are another one all at once, as when they are turned or of another time."""
     before, after = np.append(change[1], change[:-1]), np.append(change[1:], change[-2])
     limit = (JUMP * np.maximum(before, after) + JUMP_NOISY * noise) * pushed
-    yield from most(
-        change / np.maximum(limit, 1e-3),
-        "image-jump",
-        f"streams/{name}",
-        lambda k: (
-            f"it changes at once from row {k} to {k + 1}: turned, exchanged, or lit in another way"
-        ),
-    )
+    doubt, words = change / np.maximum(limit, 1e-3), "turned, exchanged, or lit in another way"
+    text = f"it changes at once from row {{}} to {{}}: {words}".format
+    yield from most(doubt, "image-jump", f"streams/{name}", lambda k: text(k, k + 1))
 
 
 def _late(presses: Presses, name: str, looked: Looked) -> Iterator[Testimony]:
@@ -304,14 +283,9 @@ def _still(presses: Presses, name: str, looked: Looked) -> Iterator[Testimony]:
         found += np.flatnonzero(again[1:] & again[:-1]).tolist()
     changes = looked.later[found] / looked.noise
     if len(found) and (np.median(changes) > SHOWS or np.median(changes) < STILL):
-        yield from most(
-            (STILL / np.maximum(changes, 1e-3)) ** 2,
-            "still-image",
-            f"streams/{name}",
-            lambda k: (
-                f"the picture does not change for {HALT:g} s from row {found[k]}: it repeats itself"
-            ),
-        )
+        doubt = (STILL / np.maximum(changes, 1e-3)) ** 2
+        text = f"the picture does not change for {HALT:g} s from row {{}}: it repeats itself".format
+        yield from most(doubt, "still-image", f"streams/{name}", lambda k: text(found[k]))
 
 
 def _aside(presses: Presses, name: str) -> Iterator[Testimony]:
@@ -320,13 +294,12 @@ def _aside(presses: Presses, name: str) -> Iterator[Testimony]:
     if control is None:
         return
     rows = reference_rows(presses.session, name, presses.planned("point", control))
-    ways = [_way(presses.session.streams[name], (rows[0], row)) for row in rows[1:]]
-
-    def text(k: int) -> str:
-        where = f"row {rows[k + 1]} lies {ways[k]:.2g} px aside of row {rows[0]}"
-        return f"{where}, both without contact: slipped mount, torn skin, or drift"
-
-    yield from most(np.array(ways) / SLIPPED, "control", f"streams/{name}", text)
+    found = []
+    for row in rows[1:]:
+        way = _way(presses.session.streams[name], (rows[0], row))
+        text = f"row {row} lies {way:.2g} px aside of row {rows[0]}, both without contact: "
+        found.append((way / SLIPPED, f"{text}slipped mount, torn skin, or drift"))
+    yield from worst(found, "control", f"streams/{name}")
 
 
 def _way(stream: Stream, rows: tuple[int, int]) -> float:
@@ -358,15 +331,11 @@ def taxels(presses: Presses) -> Iterator[Testimony]:
                 change = np.sqrt(np.square(np.diff(values, axis=0)).mean(axis=(1, 2)))
                 noise, late = float(np.quantile(change, 0.2)), np.diff(stream.t_ns) * NS
                 yield from _jumps(name, change, noise, np.maximum(late * stream.rate_hz, 1.0))
-            yield from _late_taxels(presses, name, values)
-
-
-def _late_taxels(presses: Presses, name: str, values: Floats) -> Iterator[Testimony]:
-    session = presses.session
-    rest = np.asarray(session.reference.get(session.columns.get(name, ""), ()), np.float64)
-    if rest.shape[1:] == values.shape[1:] and len(rest):
-        moved = np.sqrt(np.square(values - np.nanmean(rest, axis=0)).mean(axis=(1, 2)))
-        yield from timing(presses, session.streams[name], beyond_noise(moved))
+            column = presses.session.columns.get(name, "")
+            rest = np.asarray(presses.session.reference.get(column, ()), np.float64)
+            if rest.shape[1:] == values.shape[1:] and len(rest):
+                moved = np.sqrt(np.square(values - np.nanmean(rest, axis=0)).mean(axis=(1, 2)))
+                yield from timing(presses, stream, beyond_noise(moved))
 
 
 def _dead(name: str, values: Floats, rate_hz: float) -> Iterator[Testimony]:

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from recorder.checks.directions import ASIDE_WAY, follows
 from recorder.checks.pictures import pictures, taxels
 from recorder.checks.testimony import Testimony, worst
-from recorder.checks.timing import force_timing
+from recorder.checks.timing import SEVERAL, force_timing
 from recorder.findings import Finding
 from recorder.session.align import NS, changed, largest, quaternion, untrusted_words
 from recorder.session.columns import StreamPart, blocks
-from recorder.session.presses import ASIDE, BACK, DEEP, DOWN, NOISE, PRESSED, Phase, Presses
+from recorder.session.presses import ASIDE, BACK, DEEP, DOWN, NOISE, PRESSED, Presses
 from recorder.session.reader import Session
 from recorder.session.states import READING
 from recorder.spec import AXES
@@ -34,26 +34,22 @@ Witness = Callable[[Presses], Iterator[Testimony]]
 def statements(
     session: Session, *, images: bool = True, looked: dict[str, Any] | None = None
 ) -> Iterator[Testimony]:
-    """Yield the testimonies of all witnesses, doubtful or not; without `images` none is decoded."""
+    """Yield the testimonies of all witnesses, doubtful or not; without `images` none is decoded.
+
+    `looked`, given again with a session that has grown, keeps what its pictures showed.
+    """
     presses = Presses(session, looked)
     for witness in (*WITNESSES, *(OF_IMAGES if images else ())):
         with np.errstate(all="ignore"):
             yield from witness(presses)
 
 
-def doubts(
-    session: Session,
-    *,
-    images: bool = True,
-    notes: bool = False,
-    looked: dict[str, Any] | None = None,
-) -> Iterator[Finding]:
+def doubts(session: Session, *, notes: bool = False, **others: Any) -> Iterator[Finding]:
     """Yield the warnings of a session, and faults of pictures that no reader decodes.
 
-    Without `images` no picture is looked at; `notes` name also what the session does not show.
-    `looked`, given again with a session that has grown, keeps what its pictures showed.
+    `notes` name also what the session does not show; `others` are those of `statements`.
     """
-    for one in statements(session, images=images, looked=looked):
+    for one in statements(session, **others):
         if one.doubtful or (notes and one.finding.level == "note"):
             yield one.finding
 
@@ -79,8 +75,6 @@ UNITS = {
     "newtons that were converted from pounds (4.45)": 4.448,
     "newtons that were converted from kilograms (9.81)": 9.807,
 }
-# Least number of shears that average out a contact's own shape.
-SEVERAL = 5
 # Largest angle between side forces and the shear [deg], as rig has the gauge's axes along those of
 # the contact, and in less than `SEVERAL` shears, which do not average out a contact's own shape;
 # factor between the two axes, as friction has no direction, but an indenter's shape has; and the
@@ -98,8 +92,8 @@ HELD, HELD_USUAL = 0.2, 5.0
 LOADED, TWIST, PLACE, SPOT, LEVER = 0.2, 0.3, 4e-3, 1e-3, 0.6
 
 
-def _where(presses: Presses, column: str = "value") -> str:
-    return f"streams/{presses.force.name if presses.force else 'force'}/{column}"
+def _where(presses: Presses) -> str:
+    return f"streams/{presses.force.name if presses.force else 'force'}/value"
 
 
 def impossible(presses: Presses) -> Iterator[Testimony]:
@@ -115,10 +109,8 @@ def impossible(presses: Presses) -> Iterator[Testimony]:
         worst = max(worst, (float(sizes[row, k]), part.start + row, axes[k]), key=itemgetter(0))
     doubt, row, column = worst
     unit, value = "N" if column < 3 else "N m", presses.values(row, row + 1)[0, column]
-    message = (
-        f"{AXES[column]} is {value:.4g} {unit} in row {row}, a gauge sends less than "
-        f"{limit[column]:.4g} {unit}: check the unit, or the device's reading"
-    )
+    sends = f"a gauge sends less than {limit[column]:.4g} {unit}: check the unit, or the device"
+    message = f"{AXES[column]} is {value:.4g} {unit} in row {row}, {sends}"
     yield Testimony(doubt, Finding("impossible", _where(presses), message))
 
 
@@ -205,11 +197,10 @@ def pulls(presses: Presses) -> Iterator[Testimony]:
 
 def scale(presses: Presses) -> Iterator[Testimony]:
     """Forces of another size than those expected of the skin, or than other presses have."""
-    tops = _deepest(presses)
     expected = presses.session.setting("expected_force")
     depths, forces = (np.asarray(expected.get(name) or [], float) for name in ("depths", "forces"))
     doubt, factors = [], []
-    for depth, force, _one in tops:
+    for depth, force, _target in _deepest(presses):
         near = np.abs(depths - depth) < 1e-5 + 0.02 * depth if depths.size else np.zeros(0, bool)
         if near.any() and np.isfinite(forces[near][0]).all() and forces[near][0][0] > 0:
             low, high = forces[near][0]
@@ -220,21 +211,15 @@ def scale(presses: Presses) -> Iterator[Testimony]:
         size = float(np.median(factors))
         unit = min(UNITS, key=lambda name: abs(np.log(size / UNITS[name])))
         like = f", as if they were {unit}" if abs(np.log(size / UNITS[unit])) < 0.35 else ""
-        message = f"forces are {size:.3g} times those expected of this skin (median){like}"
-        yield Testimony(
-            float(np.median(doubt)),
-            Finding(
-                "scale", _where(presses), f"{message}: check the unit, the skin and the indenter"
-            ),
-        )
+        text = f"forces are {size:.3g} times those expected of this skin (median){like}"
+        finding = Finding("scale", _where(presses), f"{text}: check unit, skin and indenter")
+        yield Testimony(float(np.median(doubt)), finding)
 
 
 def control(presses: Presses) -> Iterator[Testimony]:
     """Control presses with another force than any press of their place and depth."""
     controls, point = presses.session.controls, presses.session.targets.get("point", ())
-    tops = [
-        (depth, point[one.target], force, one.target) for depth, force, one in _deepest(presses)
-    ]
+    tops = [(depth, point[target], force, target) for depth, force, target in _deepest(presses)]
     found = []
     for *place, force, target in tops:
         alike = [usual for *at, usual, of in tops if at == place and of not in controls]
@@ -249,15 +234,14 @@ def control(presses: Presses) -> Iterator[Testimony]:
     yield from worst(found, "control", _where(presses))
 
 
-def _deepest(presses: Presses) -> list[tuple[float, float, Phase]]:
-    """Return planned depth [m], compression at it [N] and phase of the whole presses."""
+def _deepest(presses: Presses) -> list[tuple[float, float, int]]:
+    """Return planned depth [m], compression at it [N] and target of the whole presses."""
     found = []
-    rate_hz = 0.0 if presses.force is None else presses.force.rate_hz
-    for one in presses.of(DOWN):
+    for one in presses.of(DOWN) if presses.force is not None and 2 in presses.measured else ():
         depth = presses.planned("depth", one.target)
-        at = np.flatnonzero(one.depth > 0.95 * depth)[: round(ARRIVED * rate_hz)]
-        if one.whole and depth >= DEEP and len(at) >= 3 and 2 in presses.measured:
-            found.append((depth, float(-np.median(one.wrench[at, 2])), one))
+        at = np.flatnonzero(one.depth > 0.95 * depth)[: round(ARRIVED * presses.force.rate_hz)]
+        if one.whole and depth >= DEEP and len(at) >= 3:
+            found.append((depth, float(-np.median(one.wrench[at, 2])), one.target))
     return found
 
 
@@ -289,10 +273,8 @@ def held(presses: Presses) -> Iterator[Testimony]:
         runs = np.diff(np.flatnonzero(differs))
         usual = float(np.quantile(runs, 0.999, method="lower"))
         worst = int(runs.argmax())
-        message = (
-            f"the same values in {runs[worst]} rows, from row {int(runs[:worst].sum())}, though "
-            "others differ from row to row: frozen"
-        )
+        same = f"the same values in {runs[worst]} rows, from row {int(runs[:worst].sum())}"
+        message = f"{same}, though others differ from row to row: frozen"
         doubt = float(runs[worst]) / max(HELD * stream.rate_hz, HELD_USUAL * usual)
         yield Testimony(doubt, Finding("held", f"streams/{stream.name}/value", message))
 
@@ -368,11 +350,11 @@ def _lever(force: Floats, torque: Floats, tip: Floats, noise: Floats) -> tuple[f
     away, higher = np.linalg.norm(lever[: 3 - known]), 1 + known * lever[2] / max(height, SPOT)
     spot = (SPOT if known else PLACE) * pushed + noise @ ((height, height, 0.0), (1.0, 1.0, 1.0))
     twisted = left / (TWIST * _size(torque) + spot)
+    log = abs(np.log(max(higher, 1e-3)))
     doubts = {
         "that its force has at no place": twisted.max(),
         f"of a force {1e3 * away:.3g} mm away": away / (PLACE if known else LEVER),
-        f"of a force at {higher:.3g} times the height of the tip": abs(np.log(max(higher, 1e-3)))
-        / np.log(UNEVEN),
+        f"of a force at {higher:.3g} times the height of the tip": log / np.log(UNEVEN),
     }
     how, doubt = max(doubts.items(), key=itemgetter(1))
     return float(doubt), f"{how}: check axes, signs and unit"
@@ -406,11 +388,8 @@ def speeds(presses: Presses) -> Iterator[Testimony]:
     if pose is None:
         return
     arm = presses.session.setting("bench", "arm")
-    planned = [
-        float(arm[key]) * 1e-3
-        for key in ("speed_mm_s", "travel_speed_mm_s")
-        if isinstance(arm.get(key), int | float)
-    ]
+    speeds = (arm.get("speed_mm_s"), arm.get("travel_speed_mm_s"))
+    planned = [1e-3 * each for each in speeds if isinstance(each, int | float)]
     limit = max(FASTER * max(planned), 0.05) if planned else FAST
     travel = max(planned, default=0.0)
     found = []

@@ -118,5 +118,6 @@ def mount_of(world: WorldSpec) -> dict[str, Any]:
 
     signal = sensor_of(world.sensor).signal
     places = getattr(signal, "places", np.zeros((0, 2))).tolist()
-    turned = 0.0 if places else signal.rotation + math.radians(world.lab.camera_turned_deg)
+    by_lab = 0.0 if places else math.radians(world.lab.camera_turned_deg)
+    turned = getattr(signal, "rotation", 0.0) + by_lab
     return {"turned": turned, "taxels": places, "gauge": [0.0, 0.0, -world.gauge_depth]}
