@@ -236,8 +236,10 @@ def control(presses: Presses) -> Iterator[Testimony]:
 
 def _deepest(presses: Presses) -> list[tuple[float, float, int]]:
     """Return planned depth [m], compression at it [N] and target of the whole presses."""
-    found = []
-    for one in presses.of(DOWN) if presses.force is not None and 2 in presses.measured else ():
+    found: list[tuple[float, float, int]] = []
+    if presses.force is None or 2 not in presses.measured:
+        return found
+    for one in presses.of(DOWN):
         depth = presses.planned("depth", one.target)
         at = np.flatnonzero(one.depth > 0.95 * depth)[: round(ARRIVED * presses.force.rate_hz)]
         if one.whole and depth >= DEEP and len(at) >= 3:

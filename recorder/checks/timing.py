@@ -15,9 +15,9 @@ from recorder.session.uncertainty import latency_sigma, since_shown
 
 # Standard deviations of the latency that a delay may have, besides one frame, and the least of that
 # [s]; standard errors of the delay itself. Time that a single press may be beside others [s], and
-# what the arm's way then leaves of its signal, over the spread of others. Factor to others of its
-# depth and point; and part of a signal that there may be at another point.
-SIGMAS, FRAME, ERRORS, APART, UNLIKE, BESIDE, PLACE = 3.0, 1 / 30, 3.0, 0.06, 0.4, 3.0, 0.4
+# how much more the arm's way then leaves of its signal, over the spread of others. Factor to others
+# of its depth and point; and part of a signal that there may be at another point.
+SIGMAS, FRAME, ERRORS, APART, UNLIKE, BESIDE, PLACE = 3.0, 1 / 30, 3.0, 0.06, 0.3, 3.0, 0.4
 # Least number of presses that tell if a force follows the depth, its spread over a felt force, and
 # what the depth leaves of it in the median.
 SEVERAL, SPREAD, LEAVES = 5, 0.4, 0.8
@@ -51,12 +51,12 @@ def timing(presses: Presses, stream: Stream, level: Level) -> Iterator[Testimony
         f"allowed {1e3 * limit:.0f} ms: check the latency, and the clocks of both"
     )
     some = [(abs(late) / limit, text)]
-    for one in found:
-        part = float(one.left[near].min()) / spread
+    left = np.array([one.left[near].min() for one in found]) / spread
+    for one, part in zip(found, (left - np.median(left)).tolist(), strict=True):
         text = (
-            f"in target {one.target + 1}, {part:.0%} of it does not follow the arm's way into the"
+            f"in target {one.target + 1}, {part:.0%} more of it does not follow the arm's way into"
         )
-        some.append((part / UNLIKE, f"{text} skin: check the times of both"))
+        some.append((part / UNLIKE, f"{text} the skin: check the times of both"))
     yield from worst(some, "force-time" if kind == "force" else "image-time", where)
     by, some = ("depth",) if kind == "force" else ("depth", "point"), []
     plans = np.array([[presses.planned(name, one.target) for name in by] for one in found])

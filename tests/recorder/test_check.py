@@ -267,6 +267,16 @@ def test_a_source_that_is_said_to_be_still_may_repeat_itself(tmp_path: Path) -> 
     assert faults(check(path)) == []
 
 
+@pytest.mark.parametrize(("rates", "found"), [({}, ["rate"]), ({"force": 1250.0}, [])])
+def test_a_rate_is_held_against_that_before_the_recording(
+    tmp_path: Path, rates: dict[str, float], found: list[str]
+) -> None:
+    path = make_session(tmp_path / "s.zarr", change=only_in("force", slowed(slice(0, None), 0.8)))
+    edit_json(path / "zarr.json", lambda d: d["attributes"]["runs"][0].update(rates_hz=rates))
+    reseal(path)
+    assert [each.code for each in faults(check(path)) if each.code == "rate"] == found
+
+
 @pytest.mark.parametrize(("stream", "late"), [("camera", 3), ("camera", 9), ("pose", 10)])
 def test_late_packets_are_no_clock_step(tmp_path: Path, stream: str, late: int) -> None:
     """A busy host delays some samples and then takes them all; the clocks still agree."""
