@@ -237,11 +237,11 @@ def control(presses: Presses) -> Iterator[Testimony]:
 def _deepest(presses: Presses) -> list[tuple[float, float, int]]:
     """Return planned depth [m], compression at it [N] and target of the whole presses."""
     found: list[tuple[float, float, int]] = []
-    if presses.force is None or 2 not in presses.measured:
+    if (force := presses.force) is None or 2 not in presses.measured:
         return found
     for one in presses.of(DOWN):
         depth = presses.planned("depth", one.target)
-        at = np.flatnonzero(one.depth > 0.95 * depth)[: round(ARRIVED * presses.force.rate_hz)]
+        at = np.flatnonzero(one.depth > 0.95 * depth)[: round(ARRIVED * force.rate_hz)]
         if one.whole and depth >= DEEP and len(at) >= 3:
             found.append((depth, float(-np.median(one.wrench[at, 2])), one.target))
     return found

@@ -14,10 +14,11 @@ from recorder.session.presses import Presses
 from recorder.session.uncertainty import latency_sigma, since_shown
 
 # Standard deviations of the latency that a delay may have, besides one frame, and the least of that
-# [s]; standard errors of the delay itself. Time that a single press may be beside others [s], and
-# how much more the arm's way then leaves of its signal, over the spread of others. Factor to others
-# of its depth and point; and part of a signal that there may be at another point.
-SIGMAS, FRAME, ERRORS, APART, UNLIKE, BESIDE, PLACE = 3.0, 1 / 30, 3.0, 0.06, 0.3, 3.0, 0.4
+# [s]; standard errors of the delay itself. Time that a press may be beside others [s], and periods:
+# twice that, with some scatters, is too much. How much more the arm's way leaves of its signal, over
+# the spread of others; factor to those of its depth and point; part that another point may have.
+SIGMAS, FRAME, ERRORS, APART, FRAMES, SCATTERS = 3.0, 1 / 30, 3.0, 0.06, 1.5, 4.0
+UNLIKE, BESIDE, PLACE = 0.3, 3.0, 0.4
 # Least number of presses that tell if a force follows the depth, its spread over a felt force, and
 # what the depth leaves of it in the median.
 SEVERAL, SPREAD, LEAVES = 5, 0.4, 0.8
@@ -43,8 +44,10 @@ def timing(presses: Presses, stream: Stream, level: Level) -> Iterator[Testimony
         return
     usual = float(np.median(told))
     late = float(since_shown(stream, [usual])[0]) - 0.5 * (longest or 0.0)
-    limit += ERRORS * 1.48 * float(np.median(np.abs(told - usual))) / len(told) ** 0.5
-    near, spreads = np.abs(DELAYS - usual) < APART, np.array([one.spread for one in found])
+    scatter = 1.48 * float(np.median(np.abs(told - usual)))
+    limit += ERRORS * scatter / len(told) ** 0.5
+    beside = max(APART, FRAMES / stream.rate_hz)
+    near, spreads = np.abs(DELAYS - usual) < beside, np.array([one.spread for one in found])
     spread = float(np.median(spreads.max(axis=1)))
     text = (
         f"in {len(told)} presses it is {1e3 * late:+.0f} ms behind the arm's way into the skin, "
@@ -52,11 +55,11 @@ def timing(presses: Presses, stream: Stream, level: Level) -> Iterator[Testimony
     )
     some = [(abs(late) / limit, text)]
     left = np.array([one.left[near].min() for one in found]) / spread
-    for one, part in zip(found, (left - np.median(left)).tolist(), strict=True):
-        text = (
-            f"in target {one.target + 1}, {part:.0%} more of it does not follow the arm's way into"
-        )
-        some.append((part / UNLIKE, f"{text} the skin: check the times of both"))
+    apart = [abs(one.delay - usual) / (2 * beside + SCATTERS * scatter) for one in found]
+    doubt = np.fmax((left - np.median(left)) / UNLIKE, apart).tolist()
+    for one, part, each in zip(found, left.tolist(), doubt, strict=True):
+        text = f"in target {one.target + 1}, {part:.0%} of it is not by the arm's way into the skin"
+        some.append((each, f"{text} at the others' delay: check the times of both"))
     yield from worst(some, "force-time" if kind == "force" else "image-time", where)
     by, some = ("depth",) if kind == "force" else ("depth", "point"), []
     plans = np.array([[presses.planned(name, one.target) for name in by] for one in found])

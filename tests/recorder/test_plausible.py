@@ -63,7 +63,7 @@ def part(edit: Edit) -> Edit:
 
 def late_at_last(rows: Columns) -> Any:
     value = rows["value"]
-    return np.concatenate([value[:6600], value[6450:-150]])
+    return np.concatenate([value[:6400], value[6250:-150]])
 
 
 def still(rows: Columns) -> Any:
