@@ -39,7 +39,7 @@ def statements(
     `looked`, given again with a session that has grown, keeps what its pictures showed.
     """
     presses = Presses(session, looked)
-    for witness in (*WITNESSES, *(OF_IMAGES if images else ())):
+    for witness in (*OF_GAUGE, *OF_ALL, *[pictures] * images):
         with np.errstate(all="ignore"):
             yield from witness(presses)
 
@@ -467,20 +467,13 @@ def places(presses: Presses) -> Iterator[Testimony]:
     yield from worst(told, "pose-place", f"streams/{presses.pose.name}/value")
 
 
-WITNESSES: tuple[Witness, ...] = (
+OF_GAUGE: tuple[Witness, ...] = (
     impossible,
-    marked,
     clear_force,
     pulls,
     scale,
     steps,
-    held,
     shear_follows,
     levers,
-    speeds,
-    places,
-    force_timing,
-    taxels,
-    control,
 )
-OF_IMAGES: tuple[Witness, ...] = (pictures,)
+OF_ALL: tuple[Witness, ...] = (marked, held, speeds, places, force_timing, taxels, control)

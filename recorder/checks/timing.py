@@ -15,8 +15,8 @@ from recorder.session.uncertainty import latency_sigma, since_shown
 
 # Standard deviations of the latency that a delay may have, besides one frame, and the least of that
 # [s]; standard errors of the delay itself. Time that a press may be beside others [s], and periods:
-# twice that, with some scatters, is too much. How much more the arm's way leaves of its signal, over
-# the spread of others; factor to those of its depth and point; part that another point may have.
+# twice that, with some scatters, is too much. How much more the arm's way leaves of its signal,
+# over the spread of others; factor to those of its depth and point; part that another may have.
 SIGMAS, FRAME, ERRORS, APART, FRAMES, SCATTERS = 3.0, 1 / 30, 3.0, 0.06, 1.5, 4.0
 UNLIKE, BESIDE, PLACE = 0.3, 3.0, 0.4
 # Least number of presses that tell if a force follows the depth, its spread over a felt force, and
