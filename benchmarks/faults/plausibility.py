@@ -234,7 +234,7 @@ def measure_healthy(run: Run) -> dict[str, Any]:
         run.failures += [f"{row['session']}: {text}" for text in row["findings"]]
     loud = {code: doubt for code, doubt in worst.items() if doubt > QUIET}
     run.failures += [f"{code}: {doubt:.2f} of its threshold" for code, doubt in loud.items()]
-    return {"sessions": len(rows), "worst": worst, "rows": rows}
+    return {"sessions": len(rows), "worst": worst}
 
 
 def _healthy(folder: Path, bench_and_lab: tuple[str, str]) -> dict[str, Any]:
@@ -408,8 +408,8 @@ def section_healthy(values: dict[str, Any], page: Page) -> str:
     rows = sorted(values["worst"].items(), key=lambda item: -item[1])
     head = ("witness", "worst value over its threshold")
     return (
-        f"{values['sessions']} sessions of all packaged benches, clean and with each effect of "
-        "labs. Half of each threshold may be used.\n\n"
+        f"## Healthy sessions\n\n{values['sessions']} sessions of all packaged benches, clean and "
+        "with each effect of labs. Half of each threshold may be used.\n\n"
         + table(head, [(f"`{code}`", f"{doubt:.2f}") for code, doubt in rows])
     )
 
@@ -424,7 +424,7 @@ def section_edits(values: dict[str, Any], page: Page) -> str:
         rows.append((name, f"{noticed} of {len(same)}", ", ".join(codes)))
     small = [row for row in values["rows"] if not row["counts"]]
     return (
-        f"{values['missed']} of {values['count']} edits are missed. Of {len(small)} smaller ones "
+        f"## Edits of recordings\n\n{values['missed']} of {values['count']} edits are missed. Of {len(small)} smaller ones "
         f"{sum(row['noticed'] for row in small)} are noticed.\n\n"
         + table(("edit", "noticed", "codes"), rows)
     )
