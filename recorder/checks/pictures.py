@@ -18,6 +18,7 @@ from recorder.session.columns import Stream
 from recorder.session.delays import beyond_noise
 from recorder.session.presses import PRESSED, Presses
 from recorder.session.small_pictures import FEWEST, reference_rows, rms, small_size, smaller
+from recorder.spec import LATE
 
 Floats = NDArray[np.floating]
 
@@ -40,8 +41,6 @@ DELAY, BETTER, AGREE, LONGEST = 0.35, 0.02, 0.5, 1.0
 # Change of the picture, over the noise, below which it stands still; that of others from which it
 # would show; time in which it changes [s], and the way of the tip in the skin in it [m].
 STILL, SHOWS, HALT, HALT_WAY = 1.3, 4.0, 0.35, 0.4e-3
-# Time after which the last picture of a moment has arrived [s].
-LATE = 0.12
 # Way of the picture beside the gel from which something has slipped [px].
 SLIPPED = 0.5
 EXCHANGED = np.array([1, -1, 1], np.float32)[:, None, None]

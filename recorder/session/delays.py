@@ -127,7 +127,7 @@ def _rows(presses: Presses, one: Phase, stream: Stream) -> range:
 def _delay(
     presses: Presses, one: Phase, stream: Stream, level: Level
 ) -> tuple[float, float, Floats]:
-    """Return delay, spread and what is left of a signal in one phase, as `PressDelay`."""
+    """Return delay, spread and rest of a signal in one phase, as those of `PressDelay`."""
     moments, places = presses.places(one.run)
     rows, delay = _rows(presses, one, stream), float("nan")
     if rows.stop - rows.start < FEWEST or len(moments) < 2:
