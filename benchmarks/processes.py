@@ -5,7 +5,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from types import FrameType
 from typing import Any, TypeVar
@@ -112,8 +112,9 @@ def _named(work: Callable[[Item], Outcome], named: tuple[str, Item]) -> tuple[st
 
 
 def _begin(device: str) -> None:
-    """Start Warp in a new process without its banner."""
+    """Start Warp in a new process without its banner, if it is installed."""
     from sim.device import ready_device
 
-    ready_device(device)
+    with suppress(ModuleNotFoundError):
+        ready_device(device)
     sys.stdout.flush()

@@ -44,6 +44,7 @@ ROLES = ("signal", "label", "guard")
 # Clocks of a device: none; `device_t` on the host's CLOCK_MONOTONIC; `device_t` on a clock of the
 # device; `seq` that counts samples at the device's rate.
 CLOCKS = ("none", "monotonic", "device", "counter")
+LATE = 0.12  # time after which the last sample of a moment has arrived [s]
 # Moment of the exposure that the time stamps of a camera are of: the fraction of the exposure
 # that comes after it.
 STAMPS: Mapping[str, float] = {"start": 1.0, "middle": 0.5, "end": 0.0}

@@ -13,15 +13,19 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
 from benchmarks.faults.collection_run import CollectionRun, quick_bench
+from benchmarks.processes import rows_of
 from benchmarks.report import Page, Run, table
 from recorder import SessionWriter, StreamWriter, check
 from recorder.checks.plausible import statements
+from recorder.findings import Finding
+from recorder.processes import Workers
 from recorder.session.columns import Stream
 from recorder.session.reader import Session
 from recorder.session.uncertainty import latency_sigma
@@ -73,6 +77,8 @@ class Edit:
     change: Change
     whole: bool = False
     """True if it makes sense for all rows alone."""
+    beside: bool = False
+    """True if only rows that stay as they are tell of it: counts of taxels have no known size."""
 
 
 def _times(factors: tuple[float, ...], *axes: int) -> Change:
@@ -202,7 +208,7 @@ EDITS = (
     Edit("repeated", "camera", _repeated),
     Edit("backward", "camera", _backward),
     Edit("sign", "taxels", _about_rest(lambda r, one: -one)),
-    Edit("scale", "taxels", _about_rest(lambda r, one: one * r.choice([0.1, 8.0]))),
+    Edit("scale", "taxels", _about_rest(lambda r, one: one * r.choice([0.1, 8.0])), beside=True),
     Edit("exchanged axes", "taxels", _about_rest(lambda r, one: one[..., [2, 0, 1]])),
     Edit("mirrored", "taxels", _about_rest(lambda r, one: one[:, ::-1]), whole=True),
     Edit("late", "taxels", _late),
@@ -213,14 +219,16 @@ EDITS = (
 
 def measure_healthy(run: Run) -> dict[str, Any]:
     """Collect a session for each bench and effect; return the worst value of each witness."""
-    benches = sorted(path.stem for path in BENCHES.glob("*.yaml"))
-    chosen = [(bench, lab) for lab in LABS for bench in benches]
-    chosen = [one for k, one in enumerate(chosen) if k % (40 if run.quick else 1) == 0]
-    rows: list[dict[str, Any]] = []
-    for number, (bench, lab) in enumerate(chosen):
-        work = partial(_healthy, bench, lab, run.folder)
-        rows.append(run.once(f"{bench}, {lab or 'clean'}", work))
-        run.progress((number + 1) / len(chosen))
+    benches = sorted(path.stem for path in BENCHES.glob("*.yaml") if path.stem != "mock")
+    # Each bench once, each time with the next effect, and so on: the first part has all of both.
+    chosen = [
+        (bench, LABS[(turn + k) % len(LABS)])
+        for turn in range(len(LABS))
+        for k, bench in enumerate(benches)
+    ]
+    chosen = chosen[: 4 if run.quick else None]
+    items = {f"{bench}, {lab or 'clean'}": (bench, lab) for bench, lab in chosen}
+    rows = [*rows_of(run, partial(_healthy, run.folder), items).values()]
     worst: dict[str, float] = {}
     for row in rows:
         for code, doubt in row["doubts"].items():
@@ -228,18 +236,26 @@ def measure_healthy(run: Run) -> dict[str, Any]:
         run.failures += [f"{row['session']}: {text}" for text in row["findings"]]
     loud = {code: doubt for code, doubt in worst.items() if doubt > QUIET}
     run.failures += [f"{code}: {doubt:.2f} of its threshold" for code, doubt in loud.items()]
-    return {"sessions": len(rows), "worst": worst, "rows": rows}
+    return {"sessions": len(rows), "worst": worst}
 
 
-def _healthy(bench: str, lab: str, folder: Path) -> dict[str, Any]:
-    path = collected(bench, lab, folder / "healthy.zarr", targets=3)
-    found = [each for each in check(path) if each.level != "note"]
-    seen = list(statements(Session(path)))
+def _healthy(folder: Path, bench_and_lab: tuple[str, str]) -> dict[str, Any]:
+    bench, lab = bench_and_lab
+    own = folder / f"{bench}-{LABS.index(lab)}"
+    own.mkdir()
+    path = collected(bench, lab, own / "healthy.zarr", targets=3)
     doubts: dict[str, float] = {}
-    for one in seen:
-        code = one.finding.code
-        doubts[code] = max(doubts.get(code, 0.0), float(np.nan_to_num(one.doubt, posinf=1e9)))
-    shutil.rmtree(path)
+
+    def noted(session: Session, **_: Any) -> Iterator[Finding]:
+        for one in statements(session):
+            code, doubt = one.finding.code, float(np.nan_to_num(one.doubt, posinf=1e9))
+            doubts[code] = max(doubts.get(code, 0.0), doubt)
+            if one.doubtful:
+                yield one.finding
+
+    with patch("recorder.checks.check.doubts", noted):  # all witnesses speak, and once
+        found = [each for each in check(path) if each.level != "note"]
+    shutil.rmtree(own)
     return {"session": f"{bench}, {lab}", "doubts": doubts, "findings": list(map(str, found))}
 
 
@@ -259,49 +275,74 @@ def measure_edits(run: Run) -> dict[str, Any]:
     count = 8 if run.quick else 200
     run.seeds = [run.options.seed]
     benches = EDITED[:1] if run.quick else EDITED
-    sessions = [
-        collected(bench, LABS[1 + k // 2] if k % 2 else "", run.folder / f"{k}.zarr", targets=6)
-        for k, bench in enumerate(benches)
-    ]
-    drawn = _draws(np.random.default_rng(run.options.seed), sessions)
+    labs = [LABS[1 + k // 2] if k % 2 else "" for k in range(len(benches))]
     rows: list[dict[str, Any]] = []
-    while sum(row["counts"] for row in rows) < count:
-        rows.append(next(drawn))
-        run.progress(sum(row["counts"] for row in rows) / count)
+    with Workers(run.options.processes) as workers:
+        recorded = [
+            workers.submit(_recorded, run.folder / bench, bench, lab)
+            for bench, lab in zip(benches, labs, strict=True)
+        ]
+        draws = _draws(run.options.seed, [one.result() for one in recorded])
+        drawn = [workers.submit(_edited, *next(draws)) for _ in range(2 * count)]
+        while (noted := sum(row["counts"] for row in rows)) < count:
+            run.progress(noted / count)
+            rows.append(drawn[len(rows)].result())
+            run.rows[str(len(rows))] = rows[-1]
+            run.store()
     missed = [row for row in rows if row["counts"] and not row["noticed"]]
     if len(missed) > MISSED * count:
         run.failures.append(f"{len(missed)} of {count} edits are missed; allowed: {MISSED:.0%}")
     return {"count": count, "missed": len(missed), "rows": rows}
 
 
-def _draws(rng: Rng, paths: list[Path]) -> Iterator[dict[str, Any]]:
-    """Yield results of edits without end."""
-    known = {path: {(one.code, one.where) for one in check(path)} for path in paths}
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """A session to edit."""
+
+    path: Path
+    streams: dict[str, str]
+    """First stream of each kind."""
+    known: frozenset[tuple[str, str]]
+    """Codes and places of its findings."""
+
+
+def _recorded(folder: Path, bench: str, lab: str) -> Recorded:
+    folder.mkdir()
+    path = collected(bench, lab, folder / f"{bench}.zarr", targets=6)
+    session, known = Session(path), {(one.code, one.where) for one in check(path)}
+    kinds = {edit.kind: session.of_kind(edit.kind) for edit in EDITS}
+    return Recorded(
+        path, {kind: names[0] for kind, names in kinds.items() if names}, frozenset(known)
+    )
+
+
+def _draws(seed: int, sessions: list[Recorded]) -> Iterator[tuple[int, int, Recorded]]:
+    """Yield a seed, the number of an edit and a session that has its stream, without end."""
+    rng = np.random.default_rng(seed)
     while True:
-        for edit in rng.permutation(np.array(EDITS, object)):
-            path = paths[rng.integers(len(paths))]
-            session = Session(path)
-            if names := session.of_kind(edit.kind):
-                yield _edited(rng, edit, session, names[0], known[path])
+        for number in rng.permutation(len(EDITS)).tolist():
+            fitting = [one for one in sessions if EDITS[number].kind in one.streams]
+            if fitting:
+                yield int(rng.integers(1 << 30)), number, fitting[rng.integers(len(fitting))]
 
 
-def _edited(
-    rng: Rng, edit: Edit, session: Session, name: str, known: set[tuple[str, str]]
-) -> dict[str, Any]:
-    """Edit a stream of a session with known findings, write it, check it, and remove it."""
+def _edited(seed: int, number: int, recorded: Recorded) -> dict[str, Any]:
+    """Edit a stream of a session, write it, check it, and remove it."""
+    rng, edit, session = np.random.default_rng(seed), EDITS[number], Session(recorded.path)
+    name = recorded.streams[edit.kind]
     stream = session.streams[name]
     before, after = columns_of(stream), columns_of(stream)
     count, rate = len(stream), stream.rate_hz
-    how = "whole" if edit.whole else rng.choice(["whole", "from here", "a while"])
+    how = "whole" if edit.whole else rng.choice(["whole", "from here", "a while"][edit.beside :])
     length = int(min(count // 2, rng.uniform(0.7, 4.0) * rate))
-    first = 0 if how == "whole" else int(rng.integers(1, count - length))
+    first = 0 if how == "whole" else int(rng.integers(count // 2 * edit.beside + 1, count - length))
     rows = slice(first, first + length if how == "a while" else count)
     late = edit.change(rng, after, rows)
     least_late = 3 * latency_sigma(stream)[0] + max(1 / rate, FRAME)
-    path = session.path.with_name("edited.zarr")
+    path = session.path.with_name(f"{number}-{seed}.zarr")
     write_edited(session, name, after, path)
     found = [each for each in check(path) if each.level != "note"]
-    found = [each for each in found if (each.code, each.where) not in known]
+    found = [each for each in found if (each.code, each.where) not in recorded.known]
     shutil.rmtree(path)
     return {
         "edit": f"{edit.kind}: {edit.name}",
@@ -374,8 +415,8 @@ def section_healthy(values: dict[str, Any], page: Page) -> str:
     rows = sorted(values["worst"].items(), key=lambda item: -item[1])
     head = ("witness", "worst value over its threshold")
     return (
-        f"{values['sessions']} sessions of all packaged benches, clean and with each effect of "
-        "labs. Half of each threshold may be used.\n\n"
+        f"## Healthy sessions\n\n{values['sessions']} sessions of all packaged benches, clean and "
+        "with each effect of labs. Half of each threshold may be used.\n\n"
         + table(head, [(f"`{code}`", f"{doubt:.2f}") for code, doubt in rows])
     )
 
@@ -390,7 +431,7 @@ def section_edits(values: dict[str, Any], page: Page) -> str:
         rows.append((name, f"{noticed} of {len(same)}", ", ".join(codes)))
     small = [row for row in values["rows"] if not row["counts"]]
     return (
-        f"{values['missed']} of {values['count']} edits are missed. Of {len(small)} smaller ones "
-        f"{sum(row['noticed'] for row in small)} are noticed.\n\n"
+        f"## Edits of recordings\n\n{values['missed']} of {values['count']} edits are missed. "
+        f"Of {len(small)} smaller ones {sum(row['noticed'] for row in small)} are noticed.\n\n"
         + table(("edit", "noticed", "codes"), rows)
     )

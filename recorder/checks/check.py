@@ -24,8 +24,10 @@ from recorder.session.loss import (
     Losses,
     is_compressed,
     is_regular,
+    numbers,
     other_rate,
     unseen,
+    witnesses,
 )
 from recorder.session.reader import Session
 from recorder.session.states import READING, in_stalls, stalls, states
@@ -321,8 +323,10 @@ def _taxels_spec(shape: tuple[int, ...] | None) -> StreamSpec:
 
 # Recorded content: times, sequence numbers and values.
 
-# A pause that lost nothing is a gap if it exceeds both this many periods and this duration [s].
-GAP_PERIODS, GAP_LEAST = 3.0, 0.05
+# A pause that lost nothing is a gap if it exceeds both this many periods and this duration [s]; one
+# that later samples catch up with, as the host was busy, if it exceeds this [s]. Time on either
+# side of a pause that tells [s].
+GAP_PERIODS, GAP_LEAST, BUSY, TELLS = 3.0, 0.05, 0.15, 1.0
 # Equal samples are frozen if they last longer than this [s] and number at least this many.
 FROZEN, FROZEN_SAMPLES = 1.0, 5
 # A stream may end this long before the last phase [s].
@@ -330,7 +334,6 @@ END_MARGIN = 0.25
 # A phase may begin this long before a stream does [s].
 START_MARGIN = 0.1
 
-_STEP_SAMPLES = 16  # on either side; enough that one or two late packets do not look like a step
 # Columns in which NaN means that the device sends no such value.
 _NAN_IS_FINE = {"device_t", "speed"}
 
@@ -345,11 +348,10 @@ def check_stream(
     note = uncalibrated(stream)
     if note is not None and account.rows:
         yield Finding("uncalibrated", stream_path, note)
-    compressed = is_compressed(session.attrs)
     for run, losses in enumerate(account.runs):
         rows = session.rows_of_run(stream.name, run)
         stood = stalls(session, run)
-        yield from _check_times(stream_path, stream, rows, losses, compressed, stood)
+        yield from _check_times(session, run, stream, losses)
         still = "still" in (stream.attrs.get("source_motion"), session.attrs.get("source_motion"))
         # A scale repeats one reading while its load rests.
         if stream.traits.defaults.changes and not still and READING not in stream.small:
@@ -447,19 +449,14 @@ def _check_losses(session: Session, where: str, name: str, account: Account) -> 
         yield Finding("drops-unseen", where, unseen(account))
 
 
-def _check_times(
-    where: str,
-    stream: Stream,
-    rows: slice,
-    losses: Losses,
-    compressed: bool,
-    stood: NDArray[np.int64],
-) -> Iterator[Finding]:
+def _check_times(session: Session, run: int, stream: Stream, losses: Losses) -> Iterator[Finding]:
+    where, rows = f"streams/{stream.name}", session.rows_of_run(stream.name, run)
     first, t_ns, rate_hz = rows.start or 0, stream.rows("t_ns", rows), stream.rate_hz
     if len(t_ns) < 2:
         return
+    compressed, stood = is_compressed(session.attrs), stalls(session, run)
     limit = max(GAP_PERIODS / rate_hz, GAP_LEAST)
-    jumped = np.zeros(0, np.intp) if compressed else _clock_steps(stream, rows, limit)
+    jumped = np.zeros(0, np.intp) if compressed else _clock_steps(stream, rows, losses, limit)
     known = np.concatenate([losses.row - 1, jumped])
     # Rows before a step of each kind, counted in the run, and the steps [s].
     found: dict[str, list[tuple[Array, Array]]] = defaultdict(list)
@@ -469,42 +466,44 @@ def _check_times(
         steps = np.diff(times) * NS
         explained = in_stalls(stood, times[:-1], times[1:])
         explained[known[(known >= part.start) & (known < part.stop)] - part.start] = True
-        kinds = {"time-order": (steps <= 0) & ~explained, "gap": (steps > limit) & ~explained}
+        late = (steps > limit) & ~explained
+        busy = np.flatnonzero(late & (steps <= BUSY))
+        late[busy] = _stays(stream, rows, losses, part.start + busy, limit)
+        kinds = {"time-order": (steps <= 0) & ~explained, "gap": late}
         if losses.source == SEQUENCE:
             kinds["seq-order"] = np.diff(stream.rows("seq", rows)[near]) <= 0
         for code, here in kinds.items():
             found[code].append((part.start + np.flatnonzero(here), steps[here]))
     found["clock-step"] = [(jumped, np.array([(t_ns[k + 1] - t_ns[k]) * NS for k in jumped[:1]]))]
+    whole = {code: [*map(np.concatenate, zip(*some, strict=True))] for code, some in found.items()}
     for code, of, digits in (
         ("clock-step", "", 3),
-        ("seq-order", "/seq", None),
+        ("seq-order", "/seq", 0),
         ("time-order", "", 6),
     ):
-        at, steps = map(
-            np.concatenate, zip(*found.get(code, [(known[:0], known[:0])]), strict=True)
-        )
+        at, steps = whole.get(code, (known[:0], known[:0]))
         if at.size:
-            by = "" if digits is None else f", {steps[0]:+.{digits}f} s"
-            yield Finding(
-                code, where + of, f"{at.size} found, first at row {first + at[0] + 1}{by}"
-            )
+            by = f", {steps[0]:+.{digits}f} s" if digits else ""
+            message = f"{at.size} found, first at row {first + at[0] + 1}{by}"
+            yield Finding(code, where + of, message)
     if compressed or losses.source == EVENTS:
         return
-    at, steps = map(np.concatenate, zip(*found["gap"], strict=True))
+    at, steps = whole["gap"]
     if at.size:
-        worst = int(np.argmax(steps))
-        message = (
-            f"{at.size} found, longest {steps[worst]:.3f} s before row {first + at[worst] + 1}"
-        )
+        row = first + at[np.argmax(steps)] + 1
+        message = f"{at.size} found, longest {steps.max():.3f} s before row {row}"
         yield Finding("gap", where, f"{message}, limit {limit:.3f} s")
-    stretch = other_rate(t_ns, rate_hz, losses)
+    rates = session.runs[run].get("rates_hz") if session.runs else None
+    before = rates.get(stream.name) if isinstance(rates, dict) else None
+    due_hz = before if isinstance(before, float) and before > 0 else rate_hz
+    stretch = other_rate(t_ns, due_hz, losses)
     if stretch is not None:
         row, seconds, measured = stretch
         message = f"{measured:.4g} Hz for {seconds:.1f} s from row {first + row}"
-        yield Finding("rate", where, f"{message}, declared {rate_hz:g} Hz")
+        yield Finding("rate", where, f"{message}, before the recording {due_hz:.4g} Hz")
 
 
-def _clock_steps(stream: Stream, rows: slice, limit: float) -> NDArray[np.intp]:
+def _clock_steps(stream: Stream, rows: slice, losses: Losses, limit: float) -> NDArray[np.intp]:
     """Return the rows after which the offset between host and device has changed permanently."""
     # Without a device clock, a step cannot be distinguished from a device that paused: a gap.
     if "device_t" not in stream.small:
@@ -513,13 +512,30 @@ def _clock_steps(stream: Stream, rows: slice, limit: float) -> NDArray[np.intp]:
     if not np.isfinite(device_t).all():
         return np.zeros(0, np.intp)
     offset = (t_ns - t_ns[0]) * NS - (device_t - device_t[0])
-    step_rows = []
-    for at in map(int, np.flatnonzero(np.abs(np.diff(offset)) > limit)):
-        before = offset[max(at - _STEP_SAMPLES + 1, 0) : at + 1]
-        after = offset[at + 1 : at + 1 + _STEP_SAMPLES]
-        if abs(np.median(after) - np.median(before)) > limit / 2:
-            step_rows.append(at)
-    return np.array(step_rows, np.intp)
+    at = np.flatnonzero(np.abs(np.diff(offset)) > limit)
+    return at[_stays(stream, rows, losses, at, limit)]
+
+
+def _stays(
+    stream: Stream, rows: slice, losses: Losses, at: NDArray[np.intp], limit: float
+) -> NDArray[np.bool_]:
+    """Return True where times stay off those of the device, or of its rate, after rows `at` (n,).
+
+    Samples come late and never early, so the promptest on either side are compared; where there are
+    too few of them to tell, it is a delay.
+    """
+    t_ns, clock = stream.rows("t_ns", rows), witnesses(stream, rows).get("device_t")
+    near, stays = max(4, round(TELLS * stream.rate_hz)), np.zeros(len(at), np.bool_)
+    for k, row in enumerate(at.tolist()):
+        low, high = max(row + 1 - near, 0), min(row + 1 + near, len(t_ns))
+        due = numbers(np.arange(low, high), losses) / stream.rate_hz
+        if clock is not None and np.isfinite(clock[low:high]).all():
+            due = clock[low:high]
+        before, after = np.split((t_ns[low:high] - t_ns[low]) * NS - due, [row + 1 - low])
+        shift = float(after.min() - before.min())
+        known = len(after if shift > 0 else before)
+        stays[k] = abs(shift) > limit / 2 and known > min(abs(shift) * stream.rate_hz + 4, near - 1)
+    return stays
 
 
 def _check_frozen(

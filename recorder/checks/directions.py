@@ -89,9 +89,9 @@ def taxel_order(presses: Presses, stream: Stream, values: NDArray[Any]) -> Itera
         # A press moves the skin outwards about the tip, and down most below it.
         doubt, how = follows(outward, sides, ASTRAY)
         yield Testimony(doubt, Finding("turned", where, f"sides of a press are {how}"))
-        apart, most = float(np.median(beside)), float(np.median(down))
+        apart, least = float(np.median(beside)), min(down)
         message = f"a press shows {1e3 * apart:.3g} mm beside the tip: check the taxels' order"
         doubt = apart / (BESIDE * float(np.linalg.norm(at[1:] - at[0], axis=1).min()))
         yield Testimony(doubt, Finding("turned", where, message))
-        message = f"below a press, z has {most:+.2f} of the largest change: check the axes"
-        yield Testimony((1 - most) / (1 - FOLLOWS), Finding("wrong-sign", where, message))
+        message = f"below a press, z has {least:+.2f} of the largest change: check the axes"
+        yield Testimony((1 - least) / (1 - FOLLOWS), Finding("wrong-sign", where, message))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.checks.directions import sheared, taxel_order
-from recorder.checks.testimony import Testimony, most
+from recorder.checks.testimony import Testimony, most, worst
 from recorder.checks.timing import timing
 from recorder.findings import Finding
 from recorder.session.align import NS, captured
@@ -18,13 +18,15 @@ from recorder.session.columns import Stream
 from recorder.session.delays import beyond_noise
 from recorder.session.presses import PRESSED, Presses
 from recorder.session.small_pictures import FEWEST, reference_rows, rms, small_size, smaller
+from recorder.spec import LATE
 
 Floats = NDArray[np.floating]
 
 # Pictures that are held at once, and about their pixels.
 HELD, HELD_PIXELS = 256, 1 << 21
-# Contrast over the usual one below which a picture is dark; and contrast and mean, in grey levels.
-DARK, DARKEST, BLACK = 0.3, 2.0, 30.0
+# Contrast over the usual one below which a picture is dark; and its brightest places, about twice
+# the contrast above the mean [grey levels]: an eighth of the range.
+DARK, DIM = 0.3, 32.0
 # How much better a turned picture agrees with the reference (correlation) than as it is, and size
 # of each of its maps, as `Looked.agrees` has them, in grey levels, from which that shows.
 TURNED, VARIED = 0.15, np.array([0.0, 2.0, 2.0, 6.0])
@@ -39,8 +41,6 @@ DELAY, BETTER, AGREE, LONGEST = 0.35, 0.02, 0.5, 1.0
 # Change of the picture, over the noise, below which it stands still; that of others from which it
 # would show; time in which it changes [s], and the way of the tip in the skin in it [m].
 STILL, SHOWS, HALT, HALT_WAY = 1.3, 4.0, 0.35, 0.4e-3
-# Time after which the last picture of a moment has arrived [s].
-LATE = 0.12
 # Way of the picture beside the gel from which something has slipped [px].
 SLIPPED = 0.5
 EXCHANGED = np.array([1, -1, 1], np.float32)[:, None, None]
@@ -66,14 +66,15 @@ def pictures(presses: Presses) -> Iterator[Testimony]:
             begin = session.rows_of_run(name, run).start or 0
             looked.change[max(begin - 1, 0) : begin] = 0.0
             looked.odd[max(begin - 2, 0) : begin] = 0.0
-        yield from _broken(name, looked)
+        bad = [(np.inf, f"row {row}: {why}") for row, why in looked.broken.items()]
+        yield from worst(bad, "bad-image", f"streams/{name}")
         yield from _dark(name, looked)
         yield from _turned(name, looked)
         yield from _aside(presses, name)
         if stream.rate_hz >= SLOW:
             pushed = _pushed(presses, name)
             yield from _exchanged(name, looked, pushed)
-            yield from _jumps(name, looked, pushed)
+            yield from _jumps(name, looked.change, looked.noise, pushed)
         if name == session.signal:
             yield from _still(presses, name, looked)
             yield from sheared(presses, stream, looked.flow)
@@ -179,25 +180,13 @@ def _agreement(maps: Floats, references: Floats) -> Floats:
     return np.asarray((found / sizes[:, None]).transpose(2, 0, 1))
 
 
-def _broken(name: str, looked: Looked) -> Iterator[Testimony]:
-    """Pictures that cannot be decoded."""
-    rows = [f"row {row}: {why}" for row, why in looked.broken.items()]
-    yield from most([np.inf] * len(rows), "bad-image", f"streams/{name}", rows.__getitem__)
-
-
 def _dark(name: str, looked: Looked) -> Iterator[Testimony]:
     """Pictures without contrast: a light that is off, a cover, a cable."""
-    contrast = looked.contrast
-    least = np.maximum(DARK * looked.usual, np.where(looked.level < BLACK, DARKEST, 0.0))
-    yield from most(
-        least / np.maximum(contrast, 1e-3),
-        "dark",
-        f"streams/{name}",
-        lambda row: (
-            f"row {row} has a contrast of {contrast[row]:.3g} grey levels, usual are "
-            f"{looked.usual:.3g}: check the light and the exposure"
-        ),
-    )
+    contrast, level = np.maximum(looked.contrast, 1e-3), looked.level
+    doubt = np.maximum(DARK * looked.usual / contrast, DIM / (level + 2 * contrast))
+    text = f"{{:.3g}} grey levels about {{:.3g}}, usual are {looked.usual:.3g}: check the light"
+    words = ("row {} has a contrast of " + text).format
+    yield from most(doubt, "dark", f"streams/{name}", lambda k: words(k, contrast[k], level[k]))
 
 
 def _turned(name: str, looked: Looked) -> Iterator[Testimony]:
@@ -206,11 +195,9 @@ def _turned(name: str, looked: Looked) -> Iterator[Testimony]:
     best, as_is = agrees[1:].max(axis=0), agrees[0]
 
     def text(k: int) -> str:
-        return (
-            f"row {k % len(looked.level)} shows the reference "
-            f"{list(TURNS)[int(agrees[1:, k].argmax())]} (correlation {best[k]:.2f}, "
-            f"{as_is[k]:.2f} as it is)"
-        )
+        how = list(TURNS)[int(agrees[1:, k].argmax())]
+        agree = f"(correlation {best[k]:.2f}, {as_is[k]:.2f} as it is)"
+        return f"row {k % len(looked.level)} shows the reference {how} {agree}"
 
     if not np.isnan(as_is).all():
         yield from most((best - as_is) / TURNED, "turned", f"streams/{name}", text)
@@ -218,78 +205,49 @@ def _turned(name: str, looked: Looked) -> Iterator[Testimony]:
 
 def _pushed(presses: Presses, name: str) -> Floats:
     """Return how much more than usual a picture may differ from the next (n - 1,)."""
-    stream, force, session = presses.session.streams[name], presses.force, presses.session
+    stream, session = presses.session.streams[name], presses.session
     pushed = np.ones(max(len(stream) - 1, 0))
-    axes = presses.forces
     for run in range(max(len(session.runs), 1)):
-        if force is None or not axes:
-            break
-        rows, of_force = (session.rows_of_run(each, run) for each in (name, force.name))
-        if rows.stop - rows.start < 2 or of_force.stop - of_force.start < 2:
-            continue
-        times, values = force.t_ns[of_force], force.array("value")[of_force]
-        # A picture shows the force of up to `LATE` before it arrives.
-        at = stream.t_ns[rows]
-        first, last = np.searchsorted(times, (at[:-1] - round(LATE / NS), at[1:]))
-        last = np.minimum(last, len(times) - 1)
-        apart = np.max(
-            [np.abs(values[last, k] - values[np.minimum(first, last), k]) for k in axes], 0
-        )
-        limit = presses.felt(0, 1, 2)
-        pushed[rows.start : rows.stop - 1] = np.where(apart > limit, MORE, 1.0)
+        rows, (times, forces) = session.rows_of_run(name, run), presses.forces_of(run)
+        if rows.stop - rows.start > 1 and forces.size:
+            # A picture shows the force of up to `LATE` before it arrives.
+            at = stream.t_ns[rows]
+            ends = np.searchsorted(times, (at[:-1] - round(LATE / NS), at[1:]))
+            first, last = forces[np.minimum(ends, len(times) - 1)]
+            apart = np.abs(last - first).max(axis=1)
+            pushed[rows.start : rows.stop - 1] += (MORE - 1) * (apart > presses.felt(0, 1, 2))
     return pushed
 
 
 def _exchanged(name: str, looked: Looked, pushed: Floats) -> Iterator[Testimony]:
     """Single pictures that belong elsewhere: their neighbours agree, and they do not."""
     limit = (ODD * looked.apart + NOISY * looked.noise) * np.maximum(pushed[1:], pushed[:-1])
-    yield from most(
-        looked.odd / np.maximum(limit, 1e-3),
-        "odd-image",
-        f"streams/{name}",
-        lambda k: f"row {k + 1} differs from its neighbours, which are alike: exchanged, or torn",
-    )
+    doubt, words = looked.odd / np.maximum(limit, 1e-3), "which are alike: exchanged, or torn"
+    text = f"row {{}} differs from its neighbours, {words}".format
+    yield from most(doubt, "odd-image", f"streams/{name}", lambda k: text(k + 1))
 
 
-def _jumps(name: str, looked: Looked, pushed: Floats) -> Iterator[Testimony]:
-    """Pictures that are another one all at once, as when they are turned or of another time."""
-    change = looked.change
+def _jumps(name: str, change: Floats, noise: float, pushed: Floats) -> Iterator[Testimony]:
+    """Rows that are another one all at once, as when they are turned or of another time."""
     before, after = np.append(change[1], change[:-1]), np.append(change[1:], change[-2])
-    limit = (JUMP * np.maximum(before, after) + JUMP_NOISY * looked.noise) * pushed
-    yield from most(
-        change / np.maximum(limit, 1e-3),
-        "image-jump",
-        f"streams/{name}",
-        lambda k: (
-            f"the picture changes at once from row {k} to {k + 1}: turned, exchanged, or lit "
-            "in another way"
-        ),
-    )
+    limit = (JUMP * np.maximum(before, after) + JUMP_NOISY * noise) * pushed
+    doubt, words = change / np.maximum(limit, 1e-3), "turned, exchanged, or lit in another way"
+    text = f"it changes at once from row {{}} to {{}}: {words}".format
+    yield from most(doubt, "image-jump", f"streams/{name}", lambda k: text(k, k + 1))
 
 
 def _late(presses: Presses, name: str, looked: Looked) -> Iterator[Testimony]:
     """Pictures that leave the reference at other times than the force does."""
-    force, stream, session = presses.force, presses.session.streams[name], presses.session
-    axes = presses.forces
-    if force is None or not axes:
-        return
-    seen_at, felt_at = captured(stream) * NS, captured(force) * NS
+    stream, session = presses.session.streams[name], presses.session
+    seen_at, reach = captured(stream) * NS, round(LONGEST * stream.rate_hz)
+    lags = np.arange(-reach, reach + 1) / stream.rate_hz
     for run in range(max(len(session.runs), 1)):
-        rows = session.rows_of_run(name, run)
+        rows, (moments, forces) = session.rows_of_run(name, run), presses.forces_of(run)
         moved = looked.moved[rows]
-        if len(moved) < 30 or np.isnan(moved).any():
+        if len(moved) < 30 or np.isnan(moved).any() or not forces.size:
             continue
-        of_force = session.rows_of_run(force.name, run)
-        if of_force.stop - of_force.start < 2:
-            continue
-        times, moments = seen_at[rows], felt_at[of_force]
-        values = force.array("value")[of_force]
-        size = np.sqrt(sum(values[:, axis] ** 2 for axis in axes))
-        order = np.argsort(moments, kind="stable")
-        moments, size = moments[order], size[order]
-        reach = round(LONGEST * stream.rate_hz)
-        lags = np.arange(-reach, reach + 1) / stream.rate_hz
-        at = (np.interp(times - lag, moments, size) for lag in lags)
+        times, size = seen_at[rows], np.linalg.norm(forces, axis=1)
+        at = (np.interp(times - lag, moments * NS, size) for lag in lags)
         agree = np.nan_to_num([np.corrcoef(moved, one)[0, 1] for one in at], nan=-1.0)
         best = int(agree.argmax())
         better = agree[best] > AGREE and agree[best] - agree[reach] > BETTER
@@ -319,18 +277,14 @@ def _still(presses: Presses, name: str, looked: Looked) -> Iterator[Testimony]:
             aside = np.linalg.norm(last[:, :2] - first[:, :2], axis=1)
             ways.append(np.abs(depths[1] - depths[0]) + pressed * aside)
         found += at[np.min(ways, axis=0) > HALT_WAY].tolist()
-    if np.mean(looked.change > 0) > 0.9:  # with noise, no picture comes again
-        found += np.flatnonzero(looked.later == 0).tolist()
+    if np.mean(looked.change > 0) > 0.9:  # with noise, no two pictures come again
+        again = looked.later == 0
+        found += np.flatnonzero(again[1:] & again[:-1]).tolist()
     changes = looked.later[found] / looked.noise
     if len(found) and (np.median(changes) > SHOWS or np.median(changes) < STILL):
-        yield from most(
-            (STILL / np.maximum(changes, 1e-3)) ** 2,
-            "still-image",
-            f"streams/{name}",
-            lambda k: (
-                f"the picture does not change for {HALT:g} s from row {found[k]}: it repeats itself"
-            ),
-        )
+        doubt = (STILL / np.maximum(changes, 1e-3)) ** 2
+        text = f"the picture does not change for {HALT:g} s from row {{}}: it repeats itself".format
+        yield from most(doubt, "still-image", f"streams/{name}", lambda k: text(found[k]))
 
 
 def _aside(presses: Presses, name: str) -> Iterator[Testimony]:
@@ -339,13 +293,12 @@ def _aside(presses: Presses, name: str) -> Iterator[Testimony]:
     if control is None:
         return
     rows = reference_rows(presses.session, name, presses.planned("point", control))
-    ways = [_way(presses.session.streams[name], (rows[0], row)) for row in rows[1:]]
-
-    def text(k: int) -> str:
-        where = f"row {rows[k + 1]} lies {ways[k]:.2g} px aside of row {rows[0]}"
-        return f"{where}, both without contact: slipped mount, torn skin, or drift"
-
-    yield from most(np.array(ways) / SLIPPED, "control", f"streams/{name}", text)
+    found = []
+    for row in rows[1:]:
+        way = _way(presses.session.streams[name], (rows[0], row))
+        text = f"row {row} lies {way:.2g} px aside of row {rows[0]}, both without contact: "
+        found.append((way / SLIPPED, f"{text}slipped mount, torn skin, or drift"))
+    yield from worst(found, "control", f"streams/{name}")
 
 
 def _way(stream: Stream, rows: tuple[int, int]) -> float:
@@ -357,34 +310,35 @@ def _way(stream: Stream, rows: tuple[int, int]) -> float:
 
 
 # Noise of a taxel's axis over that of others at rest below which it is dead, and the least such
-# noise [counts]: less may not show in whole numbers. Parts of a recording that are looked at one by
-# one, and their least rows; noise at rest is that of the quietest, which a third of taxels exceed.
-DEAD, QUIET, PARTS, PART_ROWS, LIVELY = 0.05, 0.5, 10, 20, 0.65
+# noise [counts]: less may not show in whole numbers. Time of a part that is looked at alone [s],
+# and its least rows; noise at rest is that of the quietest part, which a third of taxels exceed.
+DEAD, QUIET, PART, PART_ROWS, LIVELY = 0.2, 1.5, 0.35, 20, 0.65
 
 
 def taxels(presses: Presses) -> Iterator[Testimony]:
     """Taxels that always have one value while others change."""
     for name in presses.session.of_kind("taxels"):
-        values = np.asarray(presses.session.streams[name].array("value"), np.float64)
+        stream = presses.session.streams[name]
+        values = np.asarray(stream.array("value"), np.float64)
         if len(values) >= 10 and values.ndim == 3:
-            yield from _dead(name, values)
+            yield from _dead(name, values, stream.rate_hz)
             if name == presses.session.signal and values.shape[2] == 3:
                 sides = (values[..., 0] + 1j * values[..., 1]).sum(axis=1)
-                yield from sheared(presses, presses.session.streams[name], np.diff(sides))
-                yield from taxel_order(presses, presses.session.streams[name], values)
-            yield from _late_taxels(presses, name, values)
+                yield from sheared(presses, stream, np.diff(sides))
+                yield from taxel_order(presses, stream, values)
+            if presses.forces and stream.rate_hz >= SLOW:
+                change = np.sqrt(np.square(np.diff(values, axis=0)).mean(axis=(1, 2)))
+                noise, late = float(np.quantile(change, 0.2)), np.diff(stream.t_ns) * NS
+                yield from _jumps(name, change, noise, np.maximum(late * stream.rate_hz, 1.0))
+            column = presses.session.columns.get(name, "")
+            rest = np.asarray(presses.session.reference.get(column, ()), np.float64)
+            if rest.shape[1:] == values.shape[1:] and len(rest):
+                moved = np.sqrt(np.square(values - np.nanmean(rest, axis=0)).mean(axis=(1, 2)))
+                yield from timing(presses, stream, beyond_noise(moved))
 
 
-def _late_taxels(presses: Presses, name: str, values: Floats) -> Iterator[Testimony]:
-    session = presses.session
-    rest = np.asarray(session.reference.get(session.columns.get(name, ""), ()), np.float64)
-    if rest.shape[1:] == values.shape[1:] and len(rest):
-        moved = np.sqrt(np.square(values - np.nanmean(rest, axis=0)).mean(axis=(1, 2)))
-        yield from timing(presses, session.streams[name], beyond_noise(moved))
-
-
-def _dead(name: str, values: Floats) -> Iterator[Testimony]:
-    parts = [part for part in np.array_split(values, PARTS) if len(part) >= PART_ROWS] or [values]
+def _dead(name: str, values: Floats, rate_hz: float) -> Iterator[Testimony]:
+    parts = np.array_split(values, max(1, len(values) // max(PART_ROWS, round(PART * rate_hz))))
     noise = np.array([np.diff(part, axis=0).std(axis=0) for part in parts])
     usual = np.quantile(noise.min(axis=0), LIVELY, axis=0)  # (axes,)
     known = np.flatnonzero(usual > QUIET)

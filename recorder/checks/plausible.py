@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from recorder.checks.directions import ASIDE_WAY, follows
 from recorder.checks.pictures import pictures, taxels
-from recorder.checks.testimony import Testimony, most
-from recorder.checks.timing import force_timing
+from recorder.checks.testimony import Testimony, worst
+from recorder.checks.timing import SEVERAL, force_timing
 from recorder.findings import Finding
 from recorder.session.align import NS, changed, largest, quaternion, untrusted_words
 from recorder.session.columns import StreamPart, blocks
-from recorder.session.presses import ASIDE, BACK, DEEP, DOWN, NOISE, PRESSED, Phase, Presses
+from recorder.session.presses import ASIDE, BACK, DEEP, DOWN, NOISE, PRESSED, Presses
 from recorder.session.reader import Session
 from recorder.session.states import READING
 from recorder.spec import AXES
@@ -34,26 +34,22 @@ Witness = Callable[[Presses], Iterator[Testimony]]
 def statements(
     session: Session, *, images: bool = True, looked: dict[str, Any] | None = None
 ) -> Iterator[Testimony]:
-    """Yield the testimonies of all witnesses, doubtful or not; without `images` none is decoded."""
+    """Yield the testimonies of all witnesses, doubtful or not; without `images` none is decoded.
+
+    `looked`, given again with a session that has grown, keeps what its pictures showed.
+    """
     presses = Presses(session, looked)
-    for witness in (*WITNESSES, *(OF_IMAGES if images else ())):
+    for witness in (*OF_GAUGE, *OF_ALL, *[pictures] * images):
         with np.errstate(all="ignore"):
             yield from witness(presses)
 
 
-def doubts(
-    session: Session,
-    *,
-    images: bool = True,
-    notes: bool = False,
-    looked: dict[str, Any] | None = None,
-) -> Iterator[Finding]:
+def doubts(session: Session, *, notes: bool = False, **others: Any) -> Iterator[Finding]:
     """Yield the warnings of a session, and faults of pictures that no reader decodes.
 
-    Without `images` no picture is looked at; `notes` name also what the session does not show.
-    `looked`, given again with a session that has grown, keeps what its pictures showed.
+    `notes` name also what the session does not show; `others` are those of `statements`.
     """
-    for one in statements(session, images=images, looked=looked):
+    for one in statements(session, **others):
         if one.doubtful or (notes and one.finding.level == "note"):
             yield one.finding
 
@@ -61,14 +57,15 @@ def doubts(
 # The gauge.
 
 # Time away from all presses after which a skin has recovered [s], part of it that is looked at at
-# once, and height of the tip [m].
-RECOVERED, CLEAR_PART, CLEAR_HEIGHT = 1.5, 0.25, 1e-3
+# once, and height of the tip [m]; and that on the way down to a press.
+RECOVERED, CLEAR_PART, CLEAR_HEIGHT, CLEAR_DOWN = 1.5, 0.25, 1e-3, 0.1e-3
 # Force without contact [N], and over the largest in a press.
 CLEAR_LEAST, CLEAR_OF_PEAK = 0.3, 0.05
-# Largest factor of a force beside the expected interval, and beside other presses of its depth.
-SCALE, BESIDE = 3.0, 3.0
-# Change of the force of a control press, over it, and the least one [N].
-CHANGED, CHANGED_LEAST = 0.05, 0.05
+# Largest factor of a force beside the expected interval.
+SCALE = 3.0
+# Change of the force of a control press, over it, and the least one [N]. Time from arrival at the
+# depth in which a press's force counts [s]: a skin that is held relaxes.
+CHANGED, CHANGED_LEAST, ARRIVED = 0.05, 0.05, 0.06
 # Known factors between units, by the one that was taken for a newton.
 UNITS = {
     "mN (1000)": 1e3,
@@ -78,9 +75,6 @@ UNITS = {
     "newtons that were converted from pounds (4.45)": 4.448,
     "newtons that were converted from kilograms (9.81)": 9.807,
 }
-# Least number of presses whose force is compared with the depth, and how well it must rise with it
-# (correlation).
-SEVERAL, RISES = 5, 0.25
 # Largest angle between side forces and the shear [deg], as rig has the gauge's axes along those of
 # the contact, and in less than `SEVERAL` shears, which do not average out a contact's own shape;
 # factor between the two axes, as friction has no direction, but an indenter's shape has; and the
@@ -98,8 +92,8 @@ HELD, HELD_USUAL = 0.2, 5.0
 LOADED, TWIST, PLACE, SPOT, LEVER = 0.2, 0.3, 4e-3, 1e-3, 0.6
 
 
-def _where(presses: Presses, column: str = "value") -> str:
-    return f"streams/{presses.force.name if presses.force else 'force'}/{column}"
+def _where(presses: Presses) -> str:
+    return f"streams/{presses.force.name if presses.force else 'force'}/value"
 
 
 def impossible(presses: Presses) -> Iterator[Testimony]:
@@ -115,10 +109,8 @@ def impossible(presses: Presses) -> Iterator[Testimony]:
         worst = max(worst, (float(sizes[row, k]), part.start + row, axes[k]), key=itemgetter(0))
     doubt, row, column = worst
     unit, value = "N" if column < 3 else "N m", presses.values(row, row + 1)[0, column]
-    message = (
-        f"{AXES[column]} is {value:.4g} {unit} in row {row}, a gauge sends less than "
-        f"{limit[column]:.4g} {unit}: check the unit, or the device's reading"
-    )
+    sends = f"a gauge sends less than {limit[column]:.4g} {unit}: check the unit, or the device"
+    message = f"{AXES[column]} is {value:.4g} {unit} in row {row}, {sends}"
     yield Testimony(doubt, Finding("impossible", _where(presses), message))
 
 
@@ -150,81 +142,65 @@ def _peak(presses: Presses) -> float:
 def clear_force(presses: Presses) -> Iterator[Testimony]:
     """Force while nothing is touched, beside that point's own reference."""
     session, force = presses.session, presses.force
-    if force is None or not len(session.segments["target"]) or "point" not in session.reference:
+    if not presses.forces or not len(session.segments["target"]) or force is None:
         return
     segments = session.segments
-    doubt, found = [], []
+    found = []
     allowed = max(CLEAR_LEAST, CLEAR_OF_PEAK * _peak(presses))
     limits = np.maximum(allowed, NOISE * presses.sigma[:3])
+
+    def felt(level: Floats, row: int) -> None:
+        axis = max(presses.forces, key=lambda k: abs(level[k]) / limits[k])
+        text = f"{AXES[axis]} is {level[axis]:+.3g} N without contact, from row {row}; allowed: "
+        text += f"{limits[axis]:.2g} N beside the reference: tare again, look for a slipped cable"
+        found.append((float(abs(level[axis]) / limits[axis]), text))
+
+    for one in presses.of(DOWN):
+        if (above := one.depth < -CLEAR_DOWN).sum() >= NOISE:
+            felt(np.median(one.wrench[above], axis=0), one.first)
+    part = round(CLEAR_PART / NS)
     for run in range(max(len(session.runs), 1)):
-        rows = session.rows_of_run(force.name, run)
-        times, first = force.t_ns[rows], int(rows.start or 0)
-        moments, places = presses.places(run)
-        of_run = np.flatnonzero(np.asarray(segments["run"]) == run)
+        rows, (moments, places) = session.rows_of_run(force.name, run), presses.places(run)
+        times, of_run = force.t_ns[rows], np.flatnonzero(np.asarray(segments["run"]) == run)
         if not of_run.size or len(times) < 2:
             continue
         order = of_run[np.argsort(np.asarray(segments["start_ns"])[of_run])]
         starts, ends = (np.asarray(segments[name])[order] for name in ("start_ns", "end_ns"))
-        opens = np.concatenate([[times[0]], ends + round(RECOVERED / NS)])
-        for number, (begin, end) in enumerate(zip(opens, [*starts, times[-1]], strict=True)):
-            part = round(CLEAR_PART / NS)
-            inside = times[slice(*np.searchsorted(times, (begin, end - part)))]
-            for at in (int(begin) + part * np.unique((inside - int(begin)) // part)).tolist():
-                low, high = np.searchsorted(times, (at, at + part))
-                near = slice(*np.searchsorted(moments, (at, at + part)))
-                if (
-                    high - low < 3
-                    or not len(places[near])
-                    or not (places[near, 2] > CLEAR_HEIGHT).all()
-                ):
-                    continue
+        parts = times[0] + part * np.unique((times - times[0]) // part)
+        begun = np.searchsorted(starts, parts + part)
+        free = begun == np.searchsorted(ends + round(RECOVERED / NS), parts, side="right")
+        for at, number in zip(parts[free].tolist(), begun[free].tolist(), strict=True):
+            low, high = np.searchsorted(times, (at, at + part))
+            near = places[slice(*np.searchsorted(moments, (at, at + part)))]
+            if high - low >= 3 and len(near) and near[:, 2].min() > CLEAR_HEIGHT:
                 target = int(segments["target"][order[min(number, len(order) - 1)]])
-                values = presses.values(first + int(low), first + int(high))
+                values = presses.values(*(int(k) + (rows.start or 0) for k in (low, high)))
                 level = np.median(values, axis=0) - presses.offset(run, target, at)
-                axes = presses.forces
-                size = np.abs(level[axes]) / limits[axes]
-                doubt.append(float(size.max()))
-                found.append((axes[int(size.argmax())], level, first + int(low)))
-
-    def text(worst: int) -> str:
-        axis, level, row = found[worst]
-        return (
-            f"{AXES[axis]} is {level[axis]:+.3g} N without contact, from row {row}; allowed: "
-            f"{limits[axis]:.2g} N beside the reference: tare again, look for a slipped cable"
-        )
-
-    yield from most(doubt, "clear-force", _where(presses), text)
+                felt(level, int(low) + (rows.start or 0))
+    yield from worst(found, "clear-force", _where(presses))
 
 
 def pulls(presses: Presses) -> Iterator[Testimony]:
     """Fz above 0 while the skin is pressed: its sign is wrong, or the axis is another."""
     if 2 not in presses.measured:
         return
-    limit, doubt, found = presses.felt(2), [], []
+    found = []
     for one in presses.of(DOWN, ASIDE, BACK):
         deep = one.depth > PRESSED * presses.planned("depth", one.target)
         if deep.sum() >= 3:
             force = float(np.median(one.wrench[deep, 2]))
-            doubt.append(force / limit)
-            found.append((one, force))
-
-    def text(worst: int) -> str:
-        one, force = found[worst]
-        return (
-            f"Fz is {force:+.3g} N while target {one.target + 1} is pressed, from row {one.first}; "
-            "compression is negative: check the axis and its sign"
-        )
-
-    yield from most(doubt, "wrong-sign", _where(presses), text)
+            pressed = f"while target {one.target + 1} is pressed, from row {one.first}"
+            text = f"Fz is {force:+.3g} N {pressed}; compression is negative: check axis and sign"
+            found.append((force / presses.felt(2), text))
+    yield from worst(found, "wrong-sign", _where(presses))
 
 
 def scale(presses: Presses) -> Iterator[Testimony]:
     """Forces of another size than those expected of the skin, or than other presses have."""
-    tops = _deepest(presses)
     expected = presses.session.setting("expected_force")
     depths, forces = (np.asarray(expected.get(name) or [], float) for name in ("depths", "forces"))
     doubt, factors = [], []
-    for depth, force, _one in tops:
+    for depth, force, _target in _deepest(presses):
         near = np.abs(depths - depth) < 1e-5 + 0.02 * depth if depths.size else np.zeros(0, bool)
         if near.any() and np.isfinite(forces[near][0]).all() and forces[near][0][0] > 0:
             low, high = forces[near][0]
@@ -235,48 +211,16 @@ def scale(presses: Presses) -> Iterator[Testimony]:
         size = float(np.median(factors))
         unit = min(UNITS, key=lambda name: abs(np.log(size / UNITS[name])))
         like = f", as if they were {unit}" if abs(np.log(size / UNITS[unit])) < 0.35 else ""
-        message = f"forces are {size:.3g} times those expected of this skin (median){like}"
-        yield Testimony(
-            float(np.median(doubt)),
-            Finding(
-                "scale", _where(presses), f"{message}: check the unit, the skin and the indenter"
-            ),
-        )
-    yield from _beside(presses, tops)
-
-
-def _beside(presses: Presses, tops: list[tuple[float, float, Phase]]) -> Iterator[Testimony]:
-    """Yield presses whose force is of another size than that of the others of their depth."""
-    doubt, found = [], []
-    for depth in {round(depth, 6) for depth, _force, _one in tops}:
-        alike = [(force, one) for other, force, one in tops if round(other, 6) == depth]
-        if (
-            len(alike) < 3
-            or (middle := float(np.median([force for force, _one in alike]))) < LOADED
-        ):
-            continue
-        for force, one in alike:
-            factor = max(force, 1e-9) / middle
-            doubt.append(float(max(factor, 1 / factor) / BESIDE))
-            found.append((one, factor))
-
-    def text(worst: int) -> str:
-        one, factor = found[worst]
-        return (
-            f"target {one.target + 1} has {factor:.3g} times the force of the other presses of its "
-            f"depth, from row {one.first}"
-        )
-
-    yield from most(doubt, "scale", _where(presses), text)
+        text = f"forces are {size:.3g} times those expected of this skin (median){like}"
+        finding = Finding("scale", _where(presses), f"{text}: check unit, skin and indenter")
+        yield Testimony(float(np.median(doubt)), finding)
 
 
 def control(presses: Presses) -> Iterator[Testimony]:
     """Control presses with another force than any press of their place and depth."""
     controls, point = presses.session.controls, presses.session.targets.get("point", ())
-    tops = [
-        (depth, point[one.target], force, one.target) for depth, force, one in _deepest(presses)
-    ]
-    doubt, found = [], []
+    tops = [(depth, point[target], force, target) for depth, force, target in _deepest(presses)]
+    found = []
     for *place, force, target in tops:
         alike = [usual for *at, usual, of in tops if at == place and of not in controls]
         if target in controls and alike:
@@ -284,46 +228,23 @@ def control(presses: Presses) -> Iterator[Testimony]:
             # A skin relaxes from press to press; how much is known of several.
             part = CHANGED if len(alike) >= 3 else 2 * CHANGED
             limit = max(part * high, CHANGED_LEAST, NOISE * float(presses.sigma[2]))
-            doubt.append(abs(force - min(max(force, low), high)) / limit)
-            found.append(f"{force:.3g} N, others of its place and depth {low:.3g} to {high:.3g} N")
-
-    def text(worst: int) -> str:
-        return f"the control press takes {found[worst]}: slipped mount, torn skin, or drift"
-
-    yield from most(doubt, "control", _where(presses), text)
+            text = f"the control press takes {force:.3g} N, others of its place and depth "
+            text += f"{low:.3g} to {high:.3g} N: slipped mount, torn skin, or drift"
+            found.append((abs(force - min(max(force, low), high)) / limit, text))
+    yield from worst(found, "control", _where(presses))
 
 
-def _deepest(presses: Presses) -> list[tuple[float, float, Phase]]:
-    """Return planned depth [m], compression at it [N] and phase of the whole presses."""
-    found = []
+def _deepest(presses: Presses) -> list[tuple[float, float, int]]:
+    """Return planned depth [m], compression at it [N] and target of the whole presses."""
+    found: list[tuple[float, float, int]] = []
+    if (force := presses.force) is None or 2 not in presses.measured:
+        return found
     for one in presses.of(DOWN):
         depth = presses.planned("depth", one.target)
-        at = one.depth > 0.95 * depth
-        if one.whole and depth >= DEEP and at.sum() >= 3 and 2 in presses.measured:
-            found.append((depth, float(-np.median(one.wrench[at, 2])), one))
+        at = np.flatnonzero(one.depth > 0.95 * depth)[: round(ARRIVED * force.rate_hz)]
+        if one.whole and depth >= DEEP and len(at) >= 3:
+            found.append((depth, float(-np.median(one.wrench[at, 2])), one.target))
     return found
-
-
-def force_over_depth(presses: Presses) -> Iterator[Testimony]:
-    """Compression that does not rise with the depth."""
-    found = []
-    for one in presses.of(DOWN):
-        depth, force = one.depth, one.stored[:, 2]
-        inside = (depth > 0) & np.isfinite(force)
-        if presses.planned("depth", one.target) < DEEP or inside.sum() < 10 or not one.whole:
-            continue
-        force = force[inside]
-        ends = [np.median(part) for part in (force[: len(force) // 4], force[-len(force) // 4 :])]
-        if 2 in presses.measured and abs(ends[0] - ends[1]) > presses.felt(2):
-            found.append((float(np.corrcoef(depth[inside], -force)[0, 1]), one))
-    if len(found) < SEVERAL:
-        return
-    median = float(np.median([value for value, _one in found]))
-    message = (
-        f"force does not rise with depth: correlation {median:.2f} in the median of {len(found)} "
-        "presses: check the axes, the times of both, and that the indenter touches"
-    )
-    yield Testimony((1 - median) / (1 - RISES), Finding("depth-force", _where(presses), message))
 
 
 def steps(presses: Presses) -> Iterator[Testimony]:
@@ -354,10 +275,8 @@ def held(presses: Presses) -> Iterator[Testimony]:
         runs = np.diff(np.flatnonzero(differs))
         usual = float(np.quantile(runs, 0.999, method="lower"))
         worst = int(runs.argmax())
-        message = (
-            f"the same values in {runs[worst]} rows, from row {int(runs[:worst].sum())}, though "
-            "others differ from row to row: frozen"
-        )
+        same = f"the same values in {runs[worst]} rows, from row {int(runs[:worst].sum())}"
+        message = f"{same}, though others differ from row to row: frozen"
         doubt = float(runs[worst]) / max(HELD * stream.rate_hz, HELD_USUAL * usual)
         yield Testimony(doubt, Finding("held", f"streams/{stream.name}/value", message))
 
@@ -409,7 +328,7 @@ def levers(presses: Presses) -> Iterator[Testimony]:
         if len(tip) >= 10 and _size(torque).max() > 2 * noise[1]:
             doubt, how = _lever(force, torque, tip, noise)
             found.append((doubt, f"target {target + 1} has torques {how}"))
-    yield from most([doubt for doubt, _ in found], "torque", _where(presses), lambda k: found[k][1])
+    yield from worst(found, "torque", _where(presses))
 
 
 def _lever(force: Floats, torque: Floats, tip: Floats, noise: Floats) -> tuple[float, str]:
@@ -433,11 +352,11 @@ def _lever(force: Floats, torque: Floats, tip: Floats, noise: Floats) -> tuple[f
     away, higher = np.linalg.norm(lever[: 3 - known]), 1 + known * lever[2] / max(height, SPOT)
     spot = (SPOT if known else PLACE) * pushed + noise @ ((height, height, 0.0), (1.0, 1.0, 1.0))
     twisted = left / (TWIST * _size(torque) + spot)
+    log = abs(np.log(max(higher, 1e-3)))
     doubts = {
         "that its force has at no place": twisted.max(),
         f"of a force {1e3 * away:.3g} mm away": away / (PLACE if known else LEVER),
-        f"of a force at {higher:.3g} times the height of the tip": abs(np.log(max(higher, 1e-3)))
-        / np.log(UNEVEN),
+        f"of a force at {higher:.3g} times the height of the tip": log / np.log(UNEVEN),
     }
     how, doubt = max(doubts.items(), key=itemgetter(1))
     return float(doubt), f"{how}: check axes, signs and unit"
@@ -471,14 +390,11 @@ def speeds(presses: Presses) -> Iterator[Testimony]:
     if pose is None:
         return
     arm = presses.session.setting("bench", "arm")
-    planned = [
-        float(arm[key]) * 1e-3
-        for key in ("speed_mm_s", "travel_speed_mm_s")
-        if isinstance(arm.get(key), int | float)
-    ]
+    speeds = (arm.get("speed_mm_s"), arm.get("travel_speed_mm_s"))
+    planned = [1e-3 * each for each in speeds if isinstance(each, int | float)]
     limit = max(FASTER * max(planned), 0.05) if planned else FAST
     travel = max(planned, default=0.0)
-    doubt, found = [], []
+    found = []
     for run in range(max(len(session.runs), 1)):
         rows = session.rows_of_run(pose.name, run)
         poses = np.asarray(pose.array("value"), np.float64)[rows]
@@ -505,12 +421,11 @@ def speeds(presses: Presses) -> Iterator[Testimony]:
             (way / lasts, limit, f"m/s, allowed {limit:.3g} m/s"),
             (_angle(turns[apart:], turns[:-apart]) / lasts, TURNING, f"rad/s, allowed {TURNING:g}"),
         ):
-            worst = int(sizes.argmax())
-            doubt.append(float(sizes[worst]) / allowed)
-            row = (rows.start or 0) + worst + (len(sizes) == len(step))
-            found.append(f"{sizes[worst]:.3g} {unit}, row {row}")
-    text, where = "check units, and the times of the poses", f"streams/{pose.name}/value"
-    yield from most(doubt, "pose-speed", where, lambda worst: f"{found[worst]}: {text}")
+            at = int(sizes.argmax())
+            row = (rows.start or 0) + at + (len(sizes) == len(step))
+            text = f"{sizes[at]:.3g} {unit}, row {row}: check units, and the times of the poses"
+            found.append((float(sizes[at]) / allowed, text))
+    yield from worst(found, "pose-speed", f"streams/{pose.name}/value")
 
 
 def _angle(turns: Floats, others: Floats) -> Floats:
@@ -522,7 +437,7 @@ def places(presses: Presses) -> Iterator[Testimony]:
     """Presses that end away from their planned place, or poses that stand while the tip moves."""
     if presses.pose is None:
         return
-    doubt, found, ending = [], [], max(1, round(ENDING * presses.pose.rate_hz))
+    found, ending = [], max(1, round(ENDING * presses.pose.rate_hz))
     tool = presses.session.setting("expected").get("tool")
     last = {
         one.target: one for one in presses.phases if one.code in (DOWN, ASIDE) and len(one.place)
@@ -534,44 +449,31 @@ def places(presses: Presses) -> Iterator[Testimony]:
             rows = presses.rows(presses.pose, one.run, one.start, one.end)
             turns = quaternion(presses.pose.array("value")[rows.start : rows.stop, 3:])
             askew = float(_angle(turns, quaternion(np.array(tool))).max())
-            doubt.append(askew / ASKEW)
-            found.append((one, f"the tool is turned by {np.degrees(askew):.3g} degrees"))
+            found.append((askew / ASKEW, one, f"the tool is turned by {np.degrees(askew):.3g} deg"))
         goal, way = presses.planned_place(one.target), one.place[-1] - one.place[0]
         depth = presses.planned("depth", one.target)
         if one.code == DOWN and depth > WAY:
             gone = float(-way[2])
-            doubt.append(STANDS * depth / max(gone, 1e-9))
-            found.append(
-                (one, f"the pose goes {1e3 * gone:.3g} mm down, of {1e3 * depth:.3g} mm and more")
-            )
+            text = f"the pose goes {1e3 * gone:.3g} mm down, of {1e3 * depth:.3g} mm and more"
+            found.append((STANDS * depth / max(gone, 1e-9), one, text))
         sheared = presses.planned("direction", one.target) >= 0
         if one is last[one.target] and np.isfinite(goal).all() and (one.code == ASIDE) == sheared:
             away = float(np.linalg.norm(np.median(one.place[-ending:], axis=0) - goal))
-            doubt.append(away / (AWAY + AWAY_OF_WAY * float(np.linalg.norm(way))))
-            found.append((one, f"the pose ends {1e3 * away:.3g} mm from the planned place"))
-
-    def text(worst: int) -> str:
-        one, message = found[worst]
-        return f"target {one.target + 1}: {message}: check the contact frame and the poses"
-
-    yield from most(doubt, "pose-place", f"streams/{presses.pose.name}/value", text)
+            allowed = AWAY + AWAY_OF_WAY * float(np.linalg.norm(way))
+            text = f"the pose ends {1e3 * away:.3g} mm from the planned place"
+            found.append((away / allowed, one, text))
+    cure = "check the contact frame and the poses"
+    told = [(doubt, f"target {one.target + 1}: {text}: {cure}") for doubt, one, text in found]
+    yield from worst(told, "pose-place", f"streams/{presses.pose.name}/value")
 
 
-WITNESSES: tuple[Witness, ...] = (
+OF_GAUGE: tuple[Witness, ...] = (
     impossible,
-    marked,
     clear_force,
     pulls,
     scale,
-    force_over_depth,
     steps,
-    held,
     shear_follows,
     levers,
-    speeds,
-    places,
-    force_timing,
-    taxels,
-    control,
 )
-OF_IMAGES: tuple[Witness, ...] = (pictures,)
+OF_ALL: tuple[Witness, ...] = (marked, held, speeds, places, force_timing, taxels, control)

@@ -25,6 +25,11 @@ class Testimony:
         return self.doubt > 1.0
 
 
+def worst(found: Sequence[tuple[float, str]], code: str, where: str) -> Iterator[Testimony]:
+    """Yield the testimony of the most doubtful of several places with their words."""
+    yield from most([doubt for doubt, _ in found], code, where, lambda k: found[k][1])
+
+
 def most(
     doubt: Sequence[float] | NDArray[Any], code: str, where: str, text: Callable[[int], str]
 ) -> Iterator[Testimony]:

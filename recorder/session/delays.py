@@ -21,8 +21,8 @@ from recorder.session.small_pictures import reference_rows, rms, small_size, sma
 Floats = NDArray[np.float64]
 Level = Callable[[range], Floats]
 
-# Delays that are tried [s]; time around a phase that is looked at [s]; most samples of a phase, and
-# fewest; and how much of a signal the depth must explain.
+# Delays that are tried [s]; time around a phase that is looked at [s], and at least three periods;
+# most samples of a phase, and fewest; and how much of a signal the depth must explain.
 DELAYS, AROUND, MOST, FEWEST, EXPLAINED = np.arange(-0.4, 0.401, 0.01), 0.1, 60, 6, 0.98
 
 
@@ -34,13 +34,17 @@ class PressDelay(NamedTuple):
     t_ns: int
     """When the press began [ns]."""
     delay: float
-    """Time by which the stream is behind the arm [s]."""
+    """Time by which the stream is behind the arm [s]; NaN if it cannot be told."""
+    left: Floats
+    """Spread of the signal that the depth does not explain, at each of `DELAYS` (d,)."""
+    spread: Floats
+    """Spread of the signal on both ways (2,)."""
 
 
 def press_delays(
     presses: Presses, stream: Stream, level: Level, phases: Sequence[Phase]
 ) -> list[PressDelay]:
-    """Return the delay of a stream in each of some presses that tells one.
+    """Return the delay of a stream in each of some presses.
 
     `level` returns the signal (n,) in a range of rows: 0 without contact, and larger the deeper the
     tip is. Presses in which it is NaN are left out. `phases` are both ways of each press.
@@ -53,9 +57,12 @@ def press_delays(
         if {DOWN, UP} <= {*of_press}:
             with np.errstate(all="ignore"):  # values may be impossible ones
                 both = [_delay(presses, of_press[code], stream, level) for code in (DOWN, UP)]
-            if np.isfinite(both).all():
-                down = of_press[DOWN]
-                found.append(PressDelay(down.target, down.start, float(np.mean(both))))
+            delay, spread, left = map(np.array, zip(*both, strict=True))
+            if np.isfinite(spread).all():
+                down, worst = of_press[DOWN], left.max(axis=0)
+                found.append(
+                    PressDelay(down.target, down.start, float(delay.mean()), worst, spread)
+                )
     return found
 
 
@@ -111,18 +118,20 @@ def picture_level(presses: Presses, stream: Stream, phases: Sequence[Phase]) -> 
 
 def _rows(presses: Presses, one: Phase, stream: Stream) -> range:
     """Return at most some `MOST` rows of a stream in a phase, and a little around it."""
-    around = round(AROUND / NS)
+    around = round(max(AROUND, 3 / stream.rate_hz) / NS)
     end = one.end + around * (one.code == UP)
     rows = presses.rows(stream, one.run, one.start - around, end)
     return rows[:: max(1, len(rows) // MOST)]
 
 
-def _delay(presses: Presses, one: Phase, stream: Stream, level: Level) -> float:
-    """Return the delay of a signal behind the depth in one phase [s]; NaN if it cannot be told."""
+def _delay(
+    presses: Presses, one: Phase, stream: Stream, level: Level
+) -> tuple[float, float, Floats]:
+    """Return delay, spread and rest of a signal in one phase, as those of `PressDelay`."""
     moments, places = presses.places(one.run)
-    rows = _rows(presses, one, stream)
+    rows, delay = _rows(presses, one, stream), float("nan")
     if rows.stop - rows.start < FEWEST or len(moments) < 2:
-        return float("nan")
+        return delay, delay, DELAYS
     times = captured(StreamPart(stream, rows.start, rows.stop))[:: rows.step]
     value = level(rows)
     value = value - value.mean()
@@ -137,8 +146,9 @@ def _delay(presses: Presses, one: Phase, stream: Stream, level: Level) -> float:
     explained = (fitted * np.linalg.solve(gram, fitted)).sum(axis=(1, 2)) / size
     explained[fitted[:, 0, 0] <= 0] = 0.0  # a signal rises with the depth
     best = int(explained.argmax())
-    if not explained[best] > EXPLAINED or not 0 < best < len(DELAYS) - 1:
-        return float("nan")
-    low, middle, high = explained[best - 1 : best + 2]
-    step = 0.5 * (DELAYS[1] - DELAYS[0])
-    return float(DELAYS[best] + step * (low - high) / (low - 2 * middle + high))
+    if explained[best] > EXPLAINED and 0 < best < len(DELAYS) - 1:
+        low, middle, high = explained[best - 1 : best + 2]
+        step = 0.5 * (DELAYS[1] - DELAYS[0])
+        delay = float(DELAYS[best] + step * (low - high) / (low - 2 * middle + high))
+    spread = float(np.sqrt(size / len(value)))
+    return delay, spread, spread * np.sqrt(np.maximum(1 - explained, 0.0))

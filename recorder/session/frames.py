@@ -52,7 +52,7 @@ def write_frames(path: Path, rate_hz: float) -> None:
     building, old, final = path / _BUILDING, path / _OLD, path / "frames"
     remove_leftovers(path)
     session = Session(path)
-    sigmas = [sigmas_of(session, run) for run in range(max(len(session.runs), 1))]
+    sigmas = sigmas_of(session)
     attrs = {
         "rate_hz": float(rate_hz),
         "phases": list(PHASES),
@@ -88,7 +88,7 @@ def frames_table(
     covers each run from its first sample to its last. `sigmas` are those of each run, if they are
     known.
     """
-    known = sigmas or [sigmas_of(session, run) for run in range(max(len(session.runs), 1))]
+    known = sigmas or sigmas_of(session)
     runs = session.run_ticks(rate_hz)
     parts = [part for run in runs for part in _parts_of_run(session, known[run[0]], *run)]
     if not parts:

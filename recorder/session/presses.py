@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.session import align
-from recorder.session.columns import Stream
+from recorder.session.columns import Stream, blocks
 from recorder.session.contact_frame import in_frame, surface_heights
 from recorder.session.reader import Session
 from recorder.spec import AXES, PHASES
@@ -98,6 +98,7 @@ class Presses:
         self.looked = {} if looked is None else looked
         """Numbers of the pictures of each camera, kept while a session grows."""
         self._places: dict[int, tuple[Times, Floats]] = {}
+        self._forces: dict[int, tuple[Times, NDArray[np.float32]]] = {}
 
     @cached_property
     def force(self) -> Stream | None:
@@ -144,6 +145,19 @@ class Presses:
             # The median of |a - b| of normal noise is 0.954 of its standard deviation.
             sigma[axis] = float(np.median(known)) / 0.954 if known.size else 0.0
         return sigma
+
+    def forces_of(self, run: int) -> tuple[Times, NDArray[np.float32]]:
+        """Return times of capture (m,) [ns] in a run, in order, and measured forces (m, k) [N]."""
+        if self.force is None:
+            return np.zeros(0, np.int64), np.zeros((0, 0), np.float32)
+        if run not in self._forces:
+            rows = self.session.rows_of_run(self.force.name, run)
+            values, times = self.force.rows("value", rows), align.captured(self.force)[rows]
+            some = [values[part][:, self.forces] for part in blocks(len(times))]
+            forces = np.concatenate([np.zeros((0, len(self.forces))), *some], dtype=np.float32)
+            order = np.argsort(times, kind="stable")
+            self._forces[run] = times[order], forces[order]
+        return self._forces[run]
 
     def felt(self, *axes: int) -> float:
         """Return the least force on some axes [N] that is no noise of their gauge."""

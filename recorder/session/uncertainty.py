@@ -138,6 +138,7 @@ def _wander(
     phases = [one for k, one in enumerate(phases) if k // 2 in kept]
     level = force_level(presses) if is_gauge else picture_level(presses, stream, phases)
     found = [] if level is None else press_delays(presses, stream, level, phases)
+    found = [one for one in found if np.isfinite(one.delay)]
     if len(found) < 2 * _SIDE:
         return still
     delays = since_shown(stream, [one.delay for one in found])
@@ -196,19 +197,22 @@ def row_sigma(
     return np.asarray(np.hypot(signal, others))
 
 
-def sigmas_of(session: Session, run: int) -> dict[str, TimeSigma]:
-    """Return the uncertainty of the times of every aligned stream of a run, by name.
+def sigmas_of(session: Session) -> list[dict[str, TimeSigma]]:
+    """Return the uncertainty of the times of every aligned stream of each run, by name.
 
     Raises:
         SessionError: A corrupt column.
     """
     presses = Presses(session)
-    phases = [one for one in timed_phases(presses) if one.run == run]
-    parts = {}
-    for name in session.columns:
-        stream, rows = session.streams[name], session.rows_of_run(name, run)
-        wander = _wander(presses, stream, rows, phases)
-        parts[name] = time_sigma(stream, rows, session.losses(name, run), wander)
+    parts: list[dict[str, TimeSigma]] = []
+    phases = timed_phases(presses)
+    for run in range(max(len(session.runs), 1)):
+        of_run = [one for one in phases if one.run == run]
+        parts.append({})
+        for name in session.columns:
+            stream, rows = session.streams[name], session.rows_of_run(name, run)
+            wander = _wander(presses, stream, rows, of_run)
+            parts[-1][name] = time_sigma(stream, rows, session.losses(name, run), wander)
     return parts
 
 

@@ -15,11 +15,11 @@ from typing import Any
 
 from recorder import Session, SessionError, doubts
 from recorder.findings import Finding
+from recorder.spec import LATE
+from rig.core.clock import SECOND_NS
 
 # Shortest time between two looks [s], and that over the time that the last one took.
 _PERIOD, _REST = 0.5, 9.0
-# Time after a phase up to which all streams must have come [ns].
-_LATE_NS = 120_000_000
 
 
 class LiveChecks:
@@ -67,7 +67,7 @@ def _has_more(session: Session, phases: int) -> bool:
     """Return True if there are more phases, and all streams have come past the last one's end."""
     ends = session.segments["end_ns"]
     times = [stream.t_ns for stream in session.streams.values()]
-    return len(ends) > phases and all(t.max(initial=0) > ends[-1] + _LATE_NS for t in times)
+    return len(ends) > phases and all(t.max(initial=0) > ends[-1] + LATE * SECOND_NS for t in times)
 
 
 def _run(session: Path, pipe: Connection) -> None:

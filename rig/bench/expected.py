@@ -117,6 +117,7 @@ def mount_of(world: WorldSpec) -> dict[str, Any]:
     from sim.sensors import sensor_of
 
     signal = sensor_of(world.sensor).signal
-    turned = getattr(signal, "rotation", 0.0) + math.radians(world.lab.camera_turned_deg)
     places = getattr(signal, "places", np.zeros((0, 2))).tolist()
+    by_lab = 0.0 if places else math.radians(world.lab.camera_turned_deg)
+    turned = getattr(signal, "rotation", 0.0) + by_lab
     return {"turned": turned, "taxels": places, "gauge": [0.0, 0.0, -world.gauge_depth]}

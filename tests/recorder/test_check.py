@@ -267,16 +267,27 @@ def test_a_source_that_is_said_to_be_still_may_repeat_itself(tmp_path: Path) -> 
     assert faults(check(path)) == []
 
 
-def test_late_packets_are_no_clock_step(tmp_path: Path) -> None:
-    """A stall delays some samples and then delivers them all; the clocks still agree."""
+@pytest.mark.parametrize(("rates", "found"), [({}, ["rate"]), ({"force": 1250.0}, [])])
+def test_a_rate_is_held_against_that_before_the_recording(
+    tmp_path: Path, rates: dict[str, float], found: list[str]
+) -> None:
+    path = make_session(tmp_path / "s.zarr", change=only_in("force", slowed(slice(0, None), 0.8)))
+    edit_json(path / "zarr.json", lambda d: d["attributes"]["runs"][0].update(rates_hz=rates))
+    reseal(path)
+    assert [each.code for each in faults(check(path)) if each.code == "rate"] == found
+
+
+@pytest.mark.parametrize(("stream", "late"), [("camera", 3), ("camera", 9), ("pose", 10)])
+def test_late_packets_are_no_clock_step(tmp_path: Path, stream: str, late: int) -> None:
+    """A busy host delays some samples and then takes them all; the clocks still agree."""
 
     def stall(columns: Columns) -> Columns:
         t_ns = np.array(columns["t_ns"])
-        t_ns[100:103] = t_ns[103] - np.array([300_000, 200_000, 100_000])
+        t_ns[100 : 100 + late] = t_ns[100 + late] - 1000 * np.arange(late, 0, -1)
         return {**columns, "t_ns": t_ns}
 
-    path = make_session(tmp_path / "s.zarr", change=only_in("camera", stall))
-    assert [finding.code for finding in faults(check(path))] == ["gap"]
+    path = make_session(tmp_path / "s.zarr", change=only_in(stream, stall))
+    assert [finding.code for finding in faults(check(path))] == ["gap"] * (late == 9)
 
 
 def test_reading_a_missing_chunk_is_an_error_not_a_zero(tmp_path: Path) -> None:

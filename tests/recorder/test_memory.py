@@ -247,7 +247,7 @@ def test_a_long_stream_is_checked_and_aligned_in_parts(
         force = session.streams["force"]
         found = [*states(session), *check_stream(session, force, None)]
         found += [str(each) for each in statements(session)]
-        sigmas = [sigmas_of(session, run)["force"].queue for run in (0, 1)]
+        sigmas = [of_run["force"].queue for of_run in sigmas_of(session)[:2]]
         return found, frames_table(session, 40.0), sigmas
 
     whole = results()

@@ -61,6 +61,11 @@ def part(edit: Edit) -> Edit:
     return some
 
 
+def late_at_last(rows: Columns) -> Any:
+    value = rows["value"]
+    return np.concatenate([value[:6400], value[6250:-150]])
+
+
 def still(rows: Columns) -> Any:
     return np.repeat(rows["value"][:1], len(rows["value"]), axis=0)
 
@@ -80,11 +85,12 @@ def test_healthy_sessions_leave_all_witnesses_at_half_of_their_thresholds(tmp_pa
         ("wrong-sign", times(*[-1] * 6)),
         ("impossible", times(*[1e4] * 6)),
         ("impossible", part(times(*[1e300] * 6))),
-        ("scale", part(times(*[0.1] * 6))),
+        ("force-step", part(times(*[0.1] * 6))),
         ("scale", part(times(*[4.448] * 6))),
         ("depth-force", lambda rows: np.roll(rows["value"], 400, axis=0)),
         ("force-time", lambda rows: np.roll(rows["value"], 60, axis=0)),
         ("force-time", lambda rows: np.roll(rows["value"], -150, axis=0)),
+        ("force-time", late_at_last),
         ("force-step", part(times(*[-1] * 6))),
         ("held", part(still)),
         ("torque", lambda rows: np.concatenate([rows["value"][:, :3], rows["value"][:, 2::-1]], 1)),
@@ -93,6 +99,21 @@ def test_healthy_sessions_leave_all_witnesses_at_half_of_their_thresholds(tmp_pa
 def test_a_gauge_that_cannot_be_right_is_named(tmp_path: Path, code: str, edit: Edit) -> None:
     found = warned(edited(tmp_path / "s.zarr", "force", edit))
     assert found[code].startswith("streams/force"), found
+
+
+@pytest.mark.parametrize("left", [0.1, 0.8])
+def test_a_force_on_the_way_to_a_press_is_named(tmp_path: Path, left: float) -> None:
+    def change(name: str, columns: Columns) -> Columns:
+        value = np.array(columns.get("value", ()), float)
+        if name in ("pose", "force"):
+            seconds = 1e-9 * (columns["t_ns"] - T0)
+            above = (seconds > 3.3) & (seconds < 3.36)
+            value[above] = value[above] + np.eye(6)[2] * 1e-3 if name == "pose" else left
+            return columns | {"value": value}
+        return columns
+
+    path = make_session(tmp_path / "s.zarr", seconds=5.1, names=("force", "pose"), change=change)
+    assert ("clear-force" in warned(path)) == (left > 0.5)
 
 
 @pytest.mark.parametrize("left", [0.0, 0.8])
@@ -156,7 +177,7 @@ def noisy(images: Any) -> Any:
 @pytest.mark.parametrize(
     ("code", "change"),
     [
-        ("dark", lambda images: images // 20),
+        ("dark", lambda images: images // 8),
         ("dark", some_of(lambda images: images // 20)),
         ("still-image", noisy),
         ("image-time", lambda images: np.roll(images, 24, axis=0)),
@@ -182,10 +203,22 @@ def test_taxels_of_another_time_are_named(tmp_path: Path) -> None:
     assert warned(late)["image-time"] == "streams/taxels"
 
 
-def test_a_dead_taxel_is_named(tmp_path: Path) -> None:
+def test_a_picture_whose_noise_comes_again_once_is_no_still_one(tmp_path: Path) -> None:
+    def change(images: Any) -> Any:
+        noise = np.random.default_rng(0).normal(0, 2, images.shape)
+        images = np.clip(images + noise, 0, 255).astype(np.uint8)
+        images[[5 + 21, 40 + 21]] = images[[5, 40]]  # 0.35 s later
+        return images
+
+    path = edited(tmp_path / "s.zarr", "camera", redrawn(change), names=ALL[:3], seconds=3.6)
+    assert "still-image" not in warned(path)
+
+
+@pytest.mark.parametrize("first", [0, 460])
+def test_a_dead_taxel_is_named(tmp_path: Path, first: int) -> None:
     def dead(rows: Columns) -> Any:
         value = rows["value"].copy()
-        value[:, 5, 1] = 30_000
+        value[first:, 5, 1] = 30_000
         return value
 
     path = edited(tmp_path / "s.zarr", "taxels", dead, names=("taxels", "force", "pose"))
@@ -370,6 +403,7 @@ PLACES = 4.7e-3 * (np.stack(np.mgrid[:4, :4][::-1], axis=-1).reshape(-1, 2) - 1.
         ("wrong-sign", lambda value: value * [1, 1, -1] + [0, 0, 60_000]),
         ("turned", lambda value: value * [-1, 1, 1] + [60_000, 0, 0]),
         ("wrong-sign", lambda value: value[..., [2, 1, 0]]),
+        ("wrong-sign", lambda value: np.concatenate([value[:96], value[96:, :, [2, 1, 0]]])),
         ("turned", lambda value: value.reshape(-1, 4, 4, 3)[:, :, ::-1].reshape(value.shape)),
         ("turned", lambda value: value.reshape(-1, 4, 4, 3).swapaxes(1, 2).reshape(value.shape)),
     ],

@@ -29,7 +29,7 @@ def test_a_latency_that_was_not_measured_is_a_note_and_a_prior_of_three_frames(
     tmp_path: Path,
 ) -> None:
     session = session_with(tmp_path / "s.zarr", {})
-    part = sigmas_of(session, 0)["camera"]
+    part = sigmas_of(session)[0]["camera"]
     assert part.prior == pytest.approx(3 / 60)
     assert part.latency == pytest.approx(3 / 60 / np.sqrt(3))
     (note,) = [f for f in check(tmp_path / "s.zarr") if f.code == "uncalibrated"]
@@ -45,7 +45,7 @@ def test_a_calibrated_latency_counts_by_its_interval(tmp_path: Path) -> None:
         "latency_calibration": {"interval_s": [0.0205, 0.0215], "method": "taps"},
     }
     session = session_with(tmp_path / "s.zarr", measured)
-    part = sigmas_of(session, 0)["camera"]
+    part = sigmas_of(session)[0]["camera"]
     assert part.prior is None
     assert part.latency == pytest.approx(0.5e-3 / 1.96)
     assert "uncalibrated" not in {finding.code for finding in check(tmp_path / "s.zarr")}
@@ -79,7 +79,7 @@ def test_forces_are_averaged_over_the_exposure_wherever_a_camera_stamps_it(
     assert window.wrench is not None
     assert window.wrench[0, 0] == np.mean(np.arange(np.ceil(start_ms), start_ms + 10))
     period_ms = 1e3 / 60
-    assert sigmas_of(session, 0)["camera"].latency == pytest.approx(1e-3 * period_ms / 3**0.5)
+    assert sigmas_of(session)[0]["camera"].latency == pytest.approx(1e-3 * period_ms / 3**0.5)
 
 
 def test_an_unknown_exposure_makes_a_stamp_at_its_start_less_certain(tmp_path: Path) -> None:
@@ -87,7 +87,7 @@ def test_an_unknown_exposure_makes_a_stamp_at_its_start_less_certain(tmp_path: P
     for stamp in ("start", "end"):
         attrs = {"clock": "monotonic", "stamp": stamp, "exposure": None}
         session = session_with(tmp_path / f"{stamp}.zarr", attrs)
-        latency[stamp] = sigmas_of(session, 0)["camera"].latency
+        latency[stamp] = sigmas_of(session)[0]["camera"].latency
         moment = " at the start of exposure" * (stamp == "start")
         assert f"its driver stamps its frames{moment} (" in describe(session.path)
     assert latency["start"] == pytest.approx(np.hypot(latency["end"], 1 / 60 / np.sqrt(3)))
@@ -109,7 +109,7 @@ def test_a_sample_that_waited_on_the_host_is_less_certain(tmp_path: Path) -> Non
         return {**columns, "t_ns": t_ns}
 
     session = session_with(tmp_path / "s.zarr", {"latency": 0.0}, change=stalled)
-    queue = sigmas_of(session, 0)["camera"].queue
+    queue = sigmas_of(session)[0]["camera"].queue
     times = session.streams["camera"].t_ns
     first = int(np.argmax(times > T0 + 1_000_000_000))
     assert queue[first] == pytest.approx(0.19, abs=0.02)
@@ -132,7 +132,7 @@ def test_errors_under_random_delays_lie_within_twice_the_uncertainty(tmp_path: P
         return {**columns, "t_ns": np.maximum.accumulate(arrived) + np.arange(len(true))}
 
     session = session_with(tmp_path / "s.zarr", {}, change=delayed)
-    for name, part in sigmas_of(session, 0).items():
+    for name, part in sigmas_of(session)[0].items():
         error = (session.streams[name].t_ns - truth[name]) * 1e-9
         stated = part.of(session.streams[name].t_ns[:])
         assert (np.abs(error) <= 2 * stated).mean() >= 0.95, name
@@ -172,7 +172,7 @@ def test_a_latency_that_steps_or_ramps_is_covered_in_each_third(
     exact = {"latency": 0.0, "latency_calibration": {"interval_s": [-5e-4, 5e-4], "method": "taps"}}
     set_attrs(path / "streams" / name, **exact)
     session = Session(path)
-    stated = 2 * sigmas_of(session, 0)[name].of(session.streams[name].t_ns[:])
+    stated = 2 * sigmas_of(session)[0][name].of(session.streams[name].t_ns[:])
     covers = [np.mean(part) for part in np.array_split(late[0] <= stated, 3)]
     assert min(covers) > 0.92, covers
     assert np.median(stated) < 0.1
@@ -181,4 +181,4 @@ def test_a_latency_that_steps_or_ramps_is_covered_in_each_third(
 @pytest.mark.parametrize("name", ["camera", "force"])
 def test_a_latency_that_stays_adds_nothing(tmp_path: Path, name: str) -> None:
     session = session_with(tmp_path / "s.zarr", {})
-    assert not sigmas_of(session, 0)[name].wander[1].any()
+    assert not sigmas_of(session)[0][name].wander[1].any()

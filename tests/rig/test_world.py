@@ -287,6 +287,8 @@ def test_the_truth_log_gives_back_what_was_logged_between_and_despite_a_torn_end
 def test_how_a_sensor_lies_is_stated() -> None:
     camera = mount_of(WorldSpec("gelsight", gauge_depth=0.03, lab=Lab(camera_turned_deg=90)))
     assert camera == {"turned": pytest.approx(math.pi / 2), "taxels": [], "gauge": [0, 0, -0.03]}
-    places = np.array(mount_of(WorldSpec("uskin"))["taxels"]).reshape(4, 4, 2)  # rows along y
+    taxels = mount_of(WorldSpec("uskin", lab=Lab(camera_turned_deg=90)))  # it has no camera
+    assert taxels["turned"] == 0.0
+    places = np.array(taxels["taxels"]).reshape(4, 4, 2)  # rows along y
     assert (np.diff(places[..., 0], axis=1) > 0).all()
     assert (np.diff(places[..., 1], axis=0) > 0).all()

@@ -242,9 +242,9 @@ class RtdeClient(Client):
 
 SCRIPT_PORTS = (30001, 30002, 30003)
 _CYCLE_NS = round(CYCLE * SECOND_NS)
-# Host delays of up to 50 ms are caught up, as packages of a real controller would arrive together.
+# Host delays of up to 150 ms are caught up, as packages of a real controller would arrive together.
 # For longer ones the emulated controller's clock stands still, which is counted in `missed`.
-_LATE_CYCLES = 25
+_LATE_CYCLES = 75
 
 
 class ArmEmulator(Emulator):
