@@ -1,0 +1,180 @@
+"""Twins without a gauge: random skins by `fem`, seen through rendered markers, and their fits."""
+
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from threading import Condition
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.report import Run
+from benchmarks.twin.planted import printed
+from recorder.markers import find_blobs, smallest_marker
+from sim.errors import SceneError, SimulationDiverged
+from sim.fem import Fem
+from sim.indenters import named
+from sim.result import Result
+from sim.scene import Effects, Friction, Scene
+from sim.sensors import CameraSignal, SimulatedSensor, SurfaceField, readout, sensor
+from sim.sensors.quantities import camera_quantities, quantities, with_camera, with_quantities
+from sim.sensors.variation import Segmentation
+from sim.tiers import simulate_many
+from sim.twin.gaugeless import ABOVE, GRAVITY, MarkedPress, fitted_without_gauge
+from sim.twin.markers import Follower
+from sim.twin.model import leaning, motion_of
+
+Array = NDArray[np.float64]
+
+# Indenters of the fit and of its weight, and unseen ones.
+PRESSED, LAID, UNSEEN = ("sphere", "sphere_s", "hemisphere"), "hemisphere", ("torus", "cylinder_si", "dots")
+# Depths of two presses over the design's thickness, and ways sideways over it.
+DEPTHS, SHEAR = (0.15, 0.27), 0.22
+# Masses at hand [kg], and the depth over the thickness up to which the heaviest is laid.
+MASSES, DEEPEST = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0), 0.35
+TRUTH = Fem(fineness=1.0)
+# Errors of segmentation [px]; parts of a press between pictures, over which markers are followed.
+SEEN, FOLLOWED = Segmentation(jitter_px=0.3, correlation_px=4.0, missing=0.002), (0.25, 0.5, 0.75, 1.0)
+COMPARED = ("modulus", "thickness", "poisson", "friction")
+
+
+class Together:
+    """Solves the scenes of several fits in one launch."""
+
+    def __init__(self, fits: int, device: str) -> None:
+        self._ready, self._fits, self._device = Condition(), fits, device
+        self._due: list[tuple[Sequence[Scene], Any, list[Any]]] = []
+
+    def solve(self, scenes: Sequence[Scene], tier: Any) -> list[Any]:
+        """Return the outcomes of scenes, once every other fit waits as well."""
+        answer: list[Any] = []
+        with self._ready:
+            self._due.append((scenes, tier, answer))
+            self._flush()
+            self._ready.wait_for(lambda: answer or not scenes)
+        return answer
+
+    def leave(self) -> None:
+        """Wait for one fit less."""
+        with self._ready:
+            self._fits -= 1
+            self._flush()
+
+    def _flush(self) -> None:
+        if not self._due or len(self._due) < self._fits:
+            return
+        for tier in dict.fromkeys(each[1] for each in self._due):
+            own = [each for each in self._due if each[1] == tier]
+            scenes = [scene for each in own for scene in each[0]]
+            how = tier if self._device == "cpu" else replace(tier, one_topology=True)
+            begun = time.perf_counter()
+            every = iter(simulate_many(scenes, how, device=self._device))
+            print(f"{len(scenes)} scenes {time.perf_counter() - begun:.0f} s", flush=True)
+            for some, _, answer in own:
+                answer += [next(every) for _ in some]
+        self._due.clear()
+        self._ready.notify_all()
+
+
+class Skin:
+    """Random skin of a design, its bench and its camera."""
+
+    def __init__(self, seed: int, together: Together) -> None:
+        self.random = random = np.random.default_rng([62, seed])
+        self.solve = together.solve
+        design = replace(sensor("gelsight"), trajectory=None, force_depth=None)
+        assert isinstance(design.signal, CameraSignal)
+        pattern = ("GelSight", "Array-I")[seed % 2]
+        self.design = replace(design, signal=replace(design.signal, patterns=(pattern,)))
+        self.true = {
+            "modulus": float(np.exp(random.uniform(np.log(50e3), np.log(300e3)))),
+            "thickness": random.uniform(2.5e-3, 5.5e-3),
+            "poisson": random.uniform(0.40, 0.485),
+            "friction": random.uniform(0.25, 0.9),
+        }
+        self.compliance = random.uniform(0.0, 20e-6)
+        camera = camera_quantities(self.design)
+        shift = dict(zip(("shift_x", "shift_y"), random.normal(0.0, 6.0, 2).tolist(), strict=True))
+        scale = float(np.exp(random.normal(0.0, 0.005)))
+        camera |= shift | {"scale": scale * camera["scale"], "rotation": random.normal(0.0, 0.013)}
+        wide = replace(self.design, depth_max=0.9 * self.design.body.thickness)
+        self.skin = with_camera(with_quantities(wide, self.true), camera)
+        self.skin = replace(
+            self.skin,
+            depth_max=0.9 * self.true["thickness"],
+            effects=Effects(friction=Friction(self.true["friction"])),
+            variation=replace(self.skin.variation, segmentation=SEEN),
+        )
+
+    def mounted(self, name: str) -> dict[str, Any]:
+        """Return the errors of one mounting of an indenter."""
+        random, angle = self.random, self.random.normal(0.0, 0.026)
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        return {
+            "indenter": printed(named(name), random.normal(0.0, 0.1e-3)),
+            "place": random.normal(0.0, 0.3e-3, 2),
+            "tilt": tuple(random.normal(0.0, 0.0175, 2).tolist()),
+            "height": random.normal(0.0, 30e-6),
+            "turn": turn,
+        }
+
+    def scene(self, tip: Array, mounted: dict[str, Any], skin: SimulatedSensor, force: Any = 0.0) -> Scene:
+        """Return a press where the bench takes the tip (n, 3) [m] to be, its mount yielding."""
+        seen = tip + np.array([*mounted["place"], 0.0])
+        seen[:, :2] = seen[:, :2] @ mounted["turn"].T
+        indenter, seen = leaning(mounted["indenter"], seen, mounted["tilt"])
+        seen[:, 2] -= mounted["height"]
+        seen[1:, 2] += self.compliance * np.abs(force)
+        way = np.linalg.norm(np.diff(seen, axis=0), axis=1)
+        return skin.scene(indenter, motion_of(seen, np.r_[0.0, np.cumsum(way / 5e-3)]))
+
+    def followed(self, result: Result, name: str, mounting: int, tip: Array, weight: float) -> MarkedPress:
+        """Return the markers of a press in rendered pictures."""
+        top, camera = SurfaceField.of(result), readout(self.skin, seed=mounting)
+        blank = camera.masks(replace(top, displacement=0 * top.displacement[:1]))[0, 0]
+        blobs = find_blobs(blank[None], smallest_marker(blank))
+        markers = blobs.centre[blobs.whole]
+        follower, seen = Follower(markers, float(np.median(blobs.area))), []
+        before = top.displacement[:1] * 0
+        for rest in range(1, len(tip)):
+            after = top.displacement[rest : rest + 1]
+            ways = np.concatenate([before + part * (after - before) for part in FOLLOWED])
+            for mask in camera.masks(replace(top, displacement=ways), 100 * mounting + 10 * rest)[:, 0]:
+                at = follower.step(mask)
+            seen.append(at)
+            before = after
+        return MarkedPress(name, name, mounting, tip, markers, np.array(seen), weight)
+
+    def presses(self) -> list[MarkedPress]:
+        """Return the presses of an arm, and of the heaviest weight that the skin bears."""
+        due = []
+        for number, name in enumerate(PRESSED):
+            mounted = self.mounted(name)
+            for part in DEPTHS:
+                depth, way = part * 4e-3, SHEAR * 4e-3
+                angle = self.random.uniform(0.0, 2 * np.pi)
+                end = way * np.cos(angle), way * np.sin(angle)
+                tip = np.array([[0.0, 0.0, ABOVE], [0.0, 0.0, -depth], [*end, -depth]])
+                due.append((name, number, tip, mounted, 0.0))
+        upright = {**self.mounted(LAID), "height": 0.0, "place": self.random.uniform(-1e-3, 1e-3, 2)}
+        depths = np.linspace(0.05, 0.6, 12) * self.true["thickness"]
+        path = np.zeros((13, 3))
+        path[:, 2] = np.r_[ABOVE, -depths]
+        rigid = [self.scene(tip, mounted, self.skin) for _, _, tip, mounted, _ in due]
+        *first, laid = self.solve([*rigid, self.scene(path, upright, self.skin)], TRUTH)
+        forces = [each.force[1:, 2] if isinstance(each, Result) else 0.0 for each in first]
+        curve = np.abs((laid if isinstance(laid, Result) else laid.reached).force[1:, 2])
+        most = np.interp(DEEPEST * self.true["thickness"], depths[: len(curve)], curve)
+        weight = GRAVITY * max([m for m in MASSES if m * GRAVITY < most], default=MASSES[0])
+        depth = float(np.interp(weight, np.r_[0.0, curve], np.r_[0.0, depths[: len(curve)]]))
+        self.weight, compliance = weight, self.compliance
+        due.append((LAID, len(PRESSED), np.array([[0.0, 0.0, ABOVE], [0.0, 0.0, -depth]]), upright, weight))
+        again = [self.scene(tip, mounted, self.skin, force) for (_, _, tip, mounted, _), force in zip(due, [*forces, 0.0], strict=True)]
+        results = self.solve(again, TRUTH)
+        return [
+            self.followed(result, name, number, tip, weight)
+            for (name, number, tip, _, weight), result in zip(due, results, strict=True)
+            if isinstance(result, Result)
+        ]
