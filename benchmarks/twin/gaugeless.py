@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.report import Run
-from benchmarks.twin.planted import printed
+from benchmarks.report import Page, Run, table
 from recorder.markers import find_blobs, smallest_marker
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
@@ -19,24 +18,31 @@ from sim.indenters import named
 from sim.result import Result
 from sim.scene import Effects, Friction, Scene
 from sim.sensors import CameraSignal, SimulatedSensor, SurfaceField, readout, sensor
-from sim.sensors.quantities import camera_quantities, quantities, with_camera, with_quantities
+from sim.sensors.quantities import camera_quantities, with_camera, with_quantities
 from sim.sensors.variation import Segmentation
 from sim.tiers import simulate_many
 from sim.twin.gaugeless import ABOVE, GRAVITY, MarkedPress, fitted_without_gauge
 from sim.twin.markers import Follower
-from sim.twin.model import leaning, motion_of
+from sim.twin.model import leaning, motion_of, printed
 
 Array = NDArray[np.float64]
 
 # Indenters of the fit and of its weight, and unseen ones.
-PRESSED, LAID, UNSEEN = ("sphere", "sphere_s", "hemisphere"), "hemisphere", ("torus", "cylinder_si", "dots")
+PRESSED, LAID, UNSEEN = (
+    ("sphere", "sphere_s", "hemisphere"),
+    "hemisphere",
+    ("torus", "cylinder_si", "dots"),
+)
 # Depths of two presses over the design's thickness, and ways sideways over it.
 DEPTHS, SHEAR = (0.15, 0.27), 0.22
 # Masses at hand [kg], and the depth over the thickness up to which the heaviest is laid.
 MASSES, DEEPEST = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0), 0.35
 TRUTH = Fem(fineness=1.0)
 # Errors of segmentation [px]; parts of a press between pictures, over which markers are followed.
-SEEN, FOLLOWED = Segmentation(jitter_px=0.3, correlation_px=4.0, missing=0.002), (0.25, 0.5, 0.75, 1.0)
+SEEN, FOLLOWED = (
+    Segmentation(jitter_px=0.3, correlation_px=4.0, missing=0.002),
+    (0.25, 0.5, 0.75, 1.0),
+)
 COMPARED = ("modulus", "thickness", "poisson", "friction")
 
 
@@ -44,7 +50,7 @@ class Together:
     """Solves the scenes of several fits in one launch."""
 
     def __init__(self, fits: int, device: str) -> None:
-        self._ready, self._fits, self._device = Condition(), fits, device
+        self._ready, self._fits, self.device = Condition(), fits, device
         self._due: list[tuple[Sequence[Scene], Any, list[Any]]] = []
 
     def solve(self, scenes: Sequence[Scene], tier: Any) -> list[Any]:
@@ -62,16 +68,22 @@ class Together:
             self._fits -= 1
             self._flush()
 
+    def alone(self) -> Condition:
+        """Return the lock of the device, on which one renders at a time."""
+        return self._ready
+
     def _flush(self) -> None:
         if not self._due or len(self._due) < self._fits:
             return
         for tier in dict.fromkeys(each[1] for each in self._due):
             own = [each for each in self._due if each[1] == tier]
             scenes = [scene for each in own for scene in each[0]]
-            how = tier if self._device == "cpu" else replace(tier, one_topology=True)
-            begun = time.perf_counter()
-            every = iter(simulate_many(scenes, how, device=self._device))
-            print(f"{len(scenes)} scenes {time.perf_counter() - begun:.0f} s", flush=True)
+            how = tier if self.device == "cpu" else replace(tier, one_topology=True)
+            try:
+                outcomes: list[Any] = simulate_many(scenes, how, device=self.device)
+            except SceneError as error:
+                outcomes = [SimulationDiverged(str(error))] * len(scenes)
+            every = iter(outcomes)
             for some, _, answer in own:
                 answer += [next(every) for _ in some]
         self._due.clear()
@@ -83,7 +95,7 @@ class Skin:
 
     def __init__(self, seed: int, together: Together) -> None:
         self.random = random = np.random.default_rng([62, seed])
-        self.solve = together.solve
+        self.together = together
         design = replace(sensor("gelsight"), trajectory=None, force_depth=None)
         assert isinstance(design.signal, CameraSignal)
         pattern = ("GelSight", "Array-I")[seed % 2]
@@ -120,7 +132,9 @@ class Skin:
             "turn": turn,
         }
 
-    def scene(self, tip: Array, mounted: dict[str, Any], skin: SimulatedSensor, force: Any = 0.0) -> Scene:
+    def scene(
+        self, tip: Array, mounted: dict[str, Any], skin: SimulatedSensor, force: Any = 0.0
+    ) -> Scene:
         """Return a press where the bench takes the tip (n, 3) [m] to be, its mount yielding."""
         seen = tip + np.array([*mounted["place"], 0.0])
         seen[:, :2] = seen[:, :2] @ mounted["turn"].T
@@ -130,9 +144,12 @@ class Skin:
         way = np.linalg.norm(np.diff(seen, axis=0), axis=1)
         return skin.scene(indenter, motion_of(seen, np.r_[0.0, np.cumsum(way / 5e-3)]))
 
-    def followed(self, result: Result, name: str, mounting: int, tip: Array, weight: float) -> MarkedPress:
+    def followed(
+        self, result: Result, name: str, mounting: int, tip: Array, weight: float
+    ) -> MarkedPress:
         """Return the markers of a press in rendered pictures."""
-        top, camera = SurfaceField.of(result), readout(self.skin, seed=mounting)
+        top = SurfaceField.of(result)
+        camera = readout(self.skin, seed=mounting, device=self.together.device)
         blank = camera.masks(replace(top, displacement=0 * top.displacement[:1]))[0, 0]
         blobs = find_blobs(blank[None], smallest_marker(blank))
         markers = blobs.centre[blobs.whole]
@@ -141,11 +158,26 @@ class Skin:
         for rest in range(1, len(tip)):
             after = top.displacement[rest : rest + 1]
             ways = np.concatenate([before + part * (after - before) for part in FOLLOWED])
-            for mask in camera.masks(replace(top, displacement=ways), 100 * mounting + 10 * rest)[:, 0]:
+            for mask in camera.masks(replace(top, displacement=ways), 100 * mounting + 10 * rest)[
+                :, 0
+            ]:
                 at = follower.step(mask)
             seen.append(at)
             before = after
         return MarkedPress(name, name, mounting, tip, markers, np.array(seen), weight)
+
+    def yielded(self, outcome: Any) -> Array:
+        """Return the forces (f,) [N] of a press whose mount yields, from those of a rigid one.
+
+        They grow with the depth to the power of 1.6, near enough for that of the mount.
+        """
+        if not isinstance(outcome, Result):
+            return np.zeros(1)
+        rigid, depth = np.abs(outcome.force[1:, 2]), -outcome.scene.motion.depth_max
+        force = rigid
+        for _ in range(30):
+            force = (force + rigid * np.maximum(1 + self.compliance * force / depth, 0) ** 1.6) / 2
+        return np.asarray(force)
 
     def presses(self) -> list[MarkedPress]:
         """Return the presses of an arm, and of the heaviest weight that the skin bears."""
@@ -158,23 +190,117 @@ class Skin:
                 end = way * np.cos(angle), way * np.sin(angle)
                 tip = np.array([[0.0, 0.0, ABOVE], [0.0, 0.0, -depth], [*end, -depth]])
                 due.append((name, number, tip, mounted, 0.0))
-        upright = {**self.mounted(LAID), "height": 0.0, "place": self.random.uniform(-1e-3, 1e-3, 2)}
+        upright = {
+            **self.mounted(LAID),
+            "height": 0.0,
+            "place": self.random.uniform(-1e-3, 1e-3, 2),
+        }
         depths = np.linspace(0.05, 0.6, 12) * self.true["thickness"]
         path = np.zeros((13, 3))
         path[:, 2] = np.r_[ABOVE, -depths]
         rigid = [self.scene(tip, mounted, self.skin) for _, _, tip, mounted, _ in due]
-        *first, laid = self.solve([*rigid, self.scene(path, upright, self.skin)], TRUTH)
-        forces = [each.force[1:, 2] if isinstance(each, Result) else 0.0 for each in first]
+        *first, laid = self.together.solve([*rigid, self.scene(path, upright, self.skin)], TRUTH)
+        forces = [self.yielded(each) for each in first]
         curve = np.abs((laid if isinstance(laid, Result) else laid.reached).force[1:, 2])
         most = np.interp(DEEPEST * self.true["thickness"], depths[: len(curve)], curve)
         weight = GRAVITY * max([m for m in MASSES if m * GRAVITY < most], default=MASSES[0])
         depth = float(np.interp(weight, np.r_[0.0, curve], np.r_[0.0, depths[: len(curve)]]))
-        self.weight, compliance = weight, self.compliance
-        due.append((LAID, len(PRESSED), np.array([[0.0, 0.0, ABOVE], [0.0, 0.0, -depth]]), upright, weight))
-        again = [self.scene(tip, mounted, self.skin, force) for (_, _, tip, mounted, _), force in zip(due, [*forces, 0.0], strict=True)]
-        results = self.solve(again, TRUTH)
-        return [
-            self.followed(result, name, number, tip, weight)
-            for (name, number, tip, _, weight), result in zip(due, results, strict=True)
-            if isinstance(result, Result)
+        self.weight = weight
+        due.append(
+            (LAID, len(PRESSED), np.array([[0.0, 0.0, ABOVE], [0.0, 0.0, -depth]]), upright, weight)
+        )
+        again = [
+            self.scene(tip, mounted, self.skin, force)
+            for (_, _, tip, mounted, _), force in zip(due, [*forces, 0.0], strict=True)
         ]
+        results = self.together.solve(again, TRUTH)
+        with self.together.alone():
+            return [
+                self.followed(result, name, number, tip, weight)
+                for (name, number, tip, _, weight), result in zip(due, results, strict=True)
+                if isinstance(result, Result)
+            ]
+
+    def row(self) -> dict[str, Any]:
+        """Fit without a gauge, and return errors of quantities and of unseen indenters' forces."""
+        presses = self.presses()
+        begun = time.perf_counter()
+        fit = fitted_without_gauge(presses, self.design, solve=self.together.solve)
+        seconds = time.perf_counter() - begun
+        twin = {name: fit.values[name] for name in COMPARED}
+        intervals = {name: fit.interval(name) for name in COMPARED}
+        wide = with_quantities(
+            replace(self.design, depth_max=0.9 * self.design.body.thickness), twin
+        )
+        wide = replace(wide, effects=Effects(friction=Friction(twin["friction"])))
+        scenes = []
+        for skin in (self.skin, wide):
+            for name in UNSEEN:
+                path = np.array(
+                    [[0, 0, ABOVE], *([0, 0, -d] for d in (3e-4, 6e-4, 9e-4)), [5e-4, 2e-4, -9e-4]]
+                )
+                still = {"indenter": named(name), "place": (0.0, 0.0), "tilt": (0.0, 0.0)}
+                scenes.append(self.scene(path, {**still, "height": 0.0, "turn": np.eye(2)}, skin))
+        solved = self.together.solve(scenes, TRUTH)
+        pairs = [
+            (one.force[1:], other.force[1:])
+            for one, other in zip(solved[: len(UNSEEN)], solved[len(UNSEEN) :], strict=True)
+            if isinstance(one, Result) and isinstance(other, Result)
+        ]
+        true, ours = (np.concatenate(each) for each in zip(*pairs, strict=True))
+        off = np.square(true - ours).sum(axis=0) / np.square(true - true.mean(axis=0)).sum(axis=0)
+        return {
+            "weight": self.weight,
+            "presses": len(presses),
+            "answers": len(pairs),
+            "true": self.true,
+            "values": twin,
+            "intervals": intervals,
+            "inside": {n: low < self.true[n] < high for n, (low, high) in intervals.items()},
+            "unidentified": list(fit.unidentified),
+            "noise": fit.noise,
+            "rounds": fit.rounds,
+            "seconds": seconds,
+            "r2": (1 - off).tolist(),
+            "fz": float(np.median(np.abs(ours[:, 2] / true[:, 2] - 1))),
+        }
+
+
+def measure(run: Run) -> dict[str, Any]:
+    """Fit twins of random skins from rendered pictures, all at once."""
+    seeds = range(1 if run.quick else run.options.skins)
+    together = Together(len(seeds), run.device)
+
+    def job(seed: int) -> dict[str, Any]:
+        try:
+            return {"number": seed, **Skin(seed, together).row()}
+        except (SceneError, SimulationDiverged) as error:
+            return {"number": seed, "why": str(error)}
+        finally:
+            together.leave()
+
+    with ThreadPoolExecutor(len(seeds)) as pool:
+        rows = list(pool.map(job, seeds))
+    run.seeds = list(seeds)
+    return {"rows": rows}
+
+
+def section(values: dict[str, Any], page: Page) -> str:
+    """Return the section of the page."""
+    rows = [row for row in values["rows"] if "r2" in row]
+    count, lines = len(rows), []
+    for name in COMPARED:
+        off = [abs(row["values"][name] - row["true"][name]) for row in rows]
+        if name != "poisson":
+            off = [each / row["true"][name] for each, row in zip(off, rows, strict=True)]
+        inside = sum(row["inside"][name] for row in rows)
+        lines.append([name, f"{np.median(off):.3g}", f"{max(off):.3g}", f"{inside} of {count}"])
+    r2 = np.array([row["r2"] for row in rows])
+    return f"""## Without a gauge: motion of markers and one weight
+
+{count} of {len(values["rows"])} random skins were fitted, from rendered pictures under spheres.
+R2 of forces of {", ".join(UNSEEN)}, which no fit has seen, at known places: mean {r2.mean():.3f},
+worst skin {r2.mean(axis=1).min():.3f}, Fx, Fy, Fz {" ".join(map("{:.3f}".format, r2.mean(0)))}.
+
+{table(["quantity", "median error", "largest", "in its 90 % interval"], lines)}
+"""

@@ -16,7 +16,8 @@ from sim.markers import HEIGHT, WIDTH, Pattern
 from sim.sensors import CameraSignal, SimulatedSensor
 from sim.sensors.posterior import is_log
 from sim.twin.camera import CameraFit, HeldOut, differences
-from sim.twin.fit import Fit, misfit
+from sim.twin.fit import Fit, Z, misfit
+from sim.twin.gaugeless import OF_SENSOR, GaugelessFit, MarkedPress
 from sim.twin.markers import MarkerObservations
 from sim.twin.observations import PressTrack
 from sim.twin.plan import PlannedPresses, Planner, cost
@@ -169,7 +170,59 @@ def lines(
     return report
 
 
-def _marker_line(observations: Sequence[MarkerObservations], places: Sequence[Array]) -> str:
+Foretold = Sequence[tuple[MarkedPress, float, float]]
+
+
+def lines_without_gauge(fit: GaugelessFit, foretold: Foretold) -> list[str]:
+    """Return fitted values with 90 % intervals, errors, and weights that were not fitted.
+
+    Of each weight there is its press, the twin's force [N] and the spread of its logarithm.
+    """
+    report = [f"{'quantity':<12}{'value':>10}  {'90 % interval':<22}"]
+    for name in (*OF_SENSOR, "compliance"):
+        note = "  not told by these presses, the prior's" if name in fit.unidentified else ""
+        if name == "modulus" and not fit.weighed:
+            note = "  no weight (--weight): the prior's, and so is the scale of all forces"
+        report.append(_line(name, fit.values[name], fit.interval(name), note))
+    report.append("relaxation is the design's: markers do not tell it")
+    report.append(
+        f"{_marker_line(fit.presses, fit.predicted)}; noise {fit.noise[0]:.2f} px, error of the "
+        f"model {100 * fit.noise[1]:.1f} % of the motion"
+    )
+    for press, force, spread in foretold:
+        low, high = (force * math.exp(sign * Z * spread) for sign in (-1, 1))
+        outside = "" if low <= press.weight <= high else ": OUTSIDE, do not trust its forces"
+        report.append(
+            f"{press.name}, not fitted: {press.weight:.3f} N; by the twin {force:.3f} N, 90 % "
+            f"interval {low:.3f} to {high:.3f} N{outside}"
+        )
+    return report
+
+
+def summary_without_gauge(fit: GaugelessFit, foretold: Foretold) -> dict[str, Any]:
+    """Return the result as plain values in SI, for programs; `foretold` as in the lines."""
+    off, way = differences(fit.presses, fit.predicted)
+    return {
+        "values": {name: fit.values[name] for name in fit.names},
+        "intervals_90": {name: list(fit.interval(name)) for name in fit.names},
+        "spreads": fit.spreads,
+        "untold": list(fit.unidentified),
+        "weighed": fit.weighed,
+        "off_px": off,
+        "moved_px": way,
+        "noise_px": fit.noise[0],
+        "model": fit.noise[1],
+        "rounds": fit.rounds,
+        "checks": [
+            {"weight": press.weight, "force": force, "spread": spread}
+            for press, force, spread in foretold
+        ],
+    }
+
+
+def _marker_line(
+    observations: Sequence[MarkerObservations | MarkedPress], places: Sequence[Array]
+) -> str:
     off, way = differences(observations, places)
     return f"markers differ by {off:.2f} px of {way:.2f} px ({100 * off / way:.1f} %)"
 
