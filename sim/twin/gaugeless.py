@@ -67,7 +67,7 @@ PRESSES, DEEPEST, ABOVE = 8, 0.75, 50e-6
 LAW = 0.015
 # Most rounds, parts of a step that are tried, largest step that ends a fit in spreads of the
 # result, and longest step in spreads of the prior.
-ROUNDS, PARTS, SMALL, LONGEST = 8, (1.0, 0.4), 0.2, 2.0
+ROUNDS, PARTS, SMALL, LONGEST = 8, (1.0, 0.4), 0.3, 2.0
 # Length over which errors of the model are alike, over the thickness.
 ALIKE = 0.5
 # Least noise of a marker [px], least error of the model over the motion, and where both begin.
@@ -166,6 +166,10 @@ class GaugelessFit(Uncertainty):
     def interval(self, name: str, z: float = Z) -> tuple[float, float]:
         """Return the interval of a quantity, 90 % by default."""
         return interval_of(name, self.values[name], z * self.spreads[name])
+
+    def distance(self, name: str, value: float) -> float:
+        """Return the distance from a value to that of a quantity, in its standard deviations."""
+        return abs(way_of(name, {name: value}, self.values)) / self.spreads[name]
 
     def force_of(self, press: MarkedPress) -> tuple[float, float]:
         """Return the force [N] under which markers are as in a press that was not fitted.
@@ -630,17 +634,19 @@ def weighed_press(text: str, mounting: int) -> MarkedPress:
     markers = blobs.centre[blobs.whole]
     follower = Follower(markers, float(np.median(blobs.area)))
     seen = np.array([follower.step(sensor.masks(rows[k : k + 1])[0]) for k in range(len(rows))])
-    way = np.sqrt(np.nanmean(np.square(seen - markers).sum(axis=-1), axis=-1))
-    under = np.flatnonzero(way > RESTS * np.nanpercentile(way, 95))
-    resting = seen[under[len(under) // 2 :]]
-    found = np.isfinite(resting[..., 0]).mean(axis=0) > LOST
-    if found.mean() < LOST or not way.max() > 1.0:
+    known = np.isfinite(seen[..., 0])
+    square = np.nansum(np.square(seen - markers), axis=(1, 2)) / np.maximum(known.sum(axis=1), 1)
+    under = np.flatnonzero(square > RESTS**2 * np.percentile(square, 95))
+    resting = under[len(under) // 2 :]
+    found = known[resting].mean(axis=0) > LOST if len(under) else known[0]
+    if found.mean() < LOST or square.max() < 1.0:
         raise SceneError(
-            f"{form[3]}: {100 * found.mean():.0f} % of the markers are found under the weight and "
-            f"move by up to {way.max():.1f} px; allowed: {100 * LOST:.0f} % or more, above 1 px"
+            f"{form[3]}: under the weight {100 * found.mean():.0f} % of the markers are found and "
+            f"move by up to {math.sqrt(square.max()):.1f} px; allowed: {100 * LOST:.0f} % or more, "
+            "1 px or more"
         )
     observed = np.full_like(markers, np.nan)
-    observed[found] = np.nanmean(resting[:, found], axis=0)
+    observed[found] = np.nanmean(seen[np.ix_(resting, found)], axis=0)
     indenter = archive.indenters[int(sensor.table["indenter"][rows[under[-1]]])]
     name = f"{form[1]} {form[2]} on {indenter}"
     return MarkedPress(name, indenter, mounting, np.zeros((2, 3)), markers, observed[None], force)
