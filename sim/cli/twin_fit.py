@@ -1,5 +1,7 @@
 """`tactile twin fit`: identify a simulated twin of a sensor from recorded presses."""
 
+from __future__ import annotations
+
 import argparse
 import json
 import os

@@ -24,16 +24,18 @@ from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.indenters import indenter_of
 from sim.layer import Layer
+from sim.markers.camera import HEIGHT, WIDTH
 from sim.result import ContactTier, Result
 from sim.scene import Effects, Scene
 from sim.sensors import CameraSignal, Posterior, SimulatedSensor, SurfaceField
 from sim.sensors.posterior import CAMERA, interval_of
 from sim.sensors.quantities import camera_quantities, quantities, with_camera, with_quantities
-from sim.tiers import simulate_many
+from sim.tiers import simulate, simulate_many
 from sim.twin.fit import PRIOR as PRIOR_WITH_GAUGE
 from sim.twin.fit import UNIDENTIFIED, Uncertainty, Z, moved_by, way_of, with_effects
 from sim.twin.markers import LOST, Follower, MarkerObservations
 from sim.twin.model import leaning, motion_of, printed
+from sim.twin.plan import PlannedPresses, planned_presses
 
 # Prior spreads, as in `sim.twin.fit`. Names of what is of one mounting of an indenter end in `@`
 # and its number.
@@ -75,7 +77,12 @@ LEAST, BEGUN = (0.02, 0.005), (0.3, 0.03)
 # Distance over the median one beyond which a marker is taken for another one.
 WRONG = 10.0
 # Depths over the thickness, and places [m], at which a weight is looked for.
-DEPTHS, PLACES = np.linspace(0.08, 0.64, 8), np.linspace(-3e-3, 3e-3, 13)
+DEPTHS, PLACES = np.linspace(0.06, 0.54, 9), np.linspace(-3e-3, 3e-3, 13)
+# Smooth indenters, which have solutions on all skins; depth and way sideways of a plan over the
+# thickness, and its holds [s].
+SMOOTH, PRESSED, SHEARED, HOLD = ("sphere", "sphere_s", "hemisphere"), 0.27, 0.22, 1.0
+# Usual masses [kg], and depth over the thickness up to which a skin bears one.
+MASSES, BEARS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0), 0.35
 # Part of the largest motion from which a weight rests on the tip.
 RESTS = 0.8
 
@@ -201,7 +208,8 @@ class Ended(NamedTuple):
 class Problem:
     """Presses to explain by the quantities of a skin, its camera and its bench.
 
-    Weights are equations for the modulus if it `weighs`.
+    Weights are equations for the modulus if it `weighs`, at places and depths that are `found`
+    already, or are looked for.
     """
 
     def __init__(
@@ -212,6 +220,7 @@ class Problem:
         tier: ContactTier,
         *,
         weighs: bool = True,
+        found: bool = False,
     ) -> None:
         if not isinstance(design.signal, CameraSignal):
             raise SceneError(f"{design.name}.signal: taxels; allowed: a camera")
@@ -241,7 +250,9 @@ class Problem:
             kind = kind.partition("_")[0]
             spreads.append(LAID[kind] if number in laid and kind in LAID else PRIOR[kind])
         self.precision = np.diag(np.array(spreads) ** -2.0)
-        self.presses = [self._found(press) if press.weight else press for press in presses]
+        self.presses = [
+            self._found(press) if press.weight and not found else press for press in presses
+        ]
 
     def _scene(
         self, press: MarkedPress, values: Mapping[str, float], force: Array | float = 0.0
@@ -371,15 +382,7 @@ class Problem:
         Raises:
             SimulationDiverged: A press has no solution.
         """
-        values, solutions = (
-            dict(self.centre),
-            [Solution(SurfaceField.undeformed(self._design.body), np.zeros(1))] * len(self.presses),
-        )
-        for _ in range(2):  # the second time with the mount's yielding
-            (begun,) = self._tried([values], solutions)
-            if begun is None:
-                raise SimulationDiverged(f"{self.presses[0].name}: a press has no solution")
-            solutions = begun
+        values, solutions = dict(self.centre), self._begun()
         for done in range(1, ROUNDS + 1):
             progress(done / (ROUNDS + 1))
             errors = Errors(self, solutions, self._near(values, solutions), values)
@@ -392,10 +395,11 @@ class Problem:
                 {n: moved_by(n, values, part * by) for n, by in zip(self.names, step, strict=True)}
                 for part in PARTS
             ]
+            forces = [solution.force for solution in solutions]
             ends = [
                 (errors.cost(noise, moved, there), order, moved, there)
                 for order, (moved, there) in enumerate(
-                    zip(candidates, self._tried(candidates, solutions), strict=True)
+                    zip(candidates, self._tried(candidates, forces), strict=True)
                 )
                 if there is not None
             ]
@@ -410,12 +414,30 @@ class Problem:
         noise = errors.likeliest()
         return Ended(values, solutions, near, errors.step(noise)[1], noise, done)
 
+    def _begun(self) -> list[Solution]:
+        """Return the solutions at the prior's centre."""
+        forces = [np.zeros(1)] * len(self.presses)
+        for _ in range(2):  # the second time with the mount's yielding
+            (begun,) = self._tried([self.centre], forces)
+            if begun is None:
+                raise SimulationDiverged(f"{self.presses[0].name}: a press has no solution")
+            forces = [solution.force for solution in begun]
+        return begun
+
+    def expected(self) -> Uncertainty:
+        """Return the uncertainty to expect if the prior's centre is true."""
+        solutions = self._begun()
+        near = self._near(self.centre, solutions)
+        pairs = zip(self.presses, near.markers, strict=True)
+        self.presses = [replace(press, observed=markers) for press, markers in pairs]
+        return Uncertainty(self.names, Errors(self, solutions, near, self.centre).step(BEGUN)[1])
+
     def _tried(
-        self, candidates: Sequence[Mapping[str, float]], before: Sequence[Solution]
+        self, candidates: Sequence[Mapping[str, float]], forces: Sequence[Array]
     ) -> list[list[Solution] | None]:
         """Return the solutions of all presses for each candidate, None if one has none."""
-        pairs = list(zip(self.presses, before, strict=True))
-        scenes = [self._scene(press, v, each.force) for v in candidates for press, each in pairs]
+        pairs = list(zip(self.presses, forces, strict=True))
+        scenes = [self._scene(press, v, force) for v in candidates for press, force in pairs]
         solved, count = self._solved(scenes), len(pairs)
         parts = [solved[count * k : count * (k + 1)] for k in range(len(candidates))]
         return [None if None in part else [each for each in part if each] for part in parts]
@@ -650,3 +672,73 @@ def weighed_press(text: str, mounting: int) -> MarkedPress:
     indenter = archive.indenters[int(sensor.table["indenter"][rows[under[-1]]])]
     name = f"{form[1]} {form[2]} on {indenter}"
     return MarkedPress(name, indenter, mounting, np.zeros((2, 3)), markers, observed[None], force)
+
+
+def planned_weight(
+    design: SimulatedSensor, indenter: str, modulus: float
+) -> tuple[float, float] | None:
+    """Return the heaviest usual mass [kg] that a skin of some modulus [Pa] bears on an indenter.
+
+    With the depth [m] to which it presses, by tier `layer`. None if even the lightest is too heavy.
+    """
+    depths = np.linspace(0.02, BEARS, 12) * design.body.thickness
+    path = np.column_stack([np.zeros((13, 2)), np.r_[ABOVE, -depths]])
+    skin = with_quantities(replace(design, effects=Effects()), {"modulus": modulus})
+    skin = replace(skin, depth_max=0.9 * design.body.thickness)
+    result = simulate(skin.scene(indenter_of(indenter), motion_of(path, np.arange(13.0))), LAYER)
+    force = -result.force[1:, 2]
+    borne = [mass for mass in MASSES if GRAVITY * mass < force[-1]]
+    if not borne:
+        return None
+    return borne[-1], float(np.interp(GRAVITY * borne[-1], np.r_[0.0, force], np.r_[0.0, depths]))
+
+
+def expected_without_gauge(
+    design: SimulatedSensor, planned: Sequence[PlannedPresses], weight: tuple[str, float] | None
+) -> Uncertainty:
+    """Return the uncertainty to expect after presses, and a weight on an indenter to a depth [m].
+
+    The design is taken as true, by tier `layer`; its markers are those of its pattern.
+    """
+    design = with_effects(design)
+    if not isinstance(design.signal, CameraSignal):
+        raise SceneError(f"{design.name}.signal: taxels; allowed: a camera")
+    flat = design.signal.drawn()[0].centres
+    pixels = design.signal.camera().project(
+        np.column_stack([flat, design.body.heights_at(*flat.T)])
+    )
+    seen = pixels[((pixels > 0) & (pixels < (WIDTH, HEIGHT))).all(axis=1)]
+    due = []
+    for number, each in enumerate(planned):
+        for depth in each.depths:
+            tip = [[0.0, 0.0, ABOVE], [0.0, 0.0, -depth], [each.plan.shear, 0.0, -depth]]
+            due.append((each.indenter, number, np.array(tip), 0.0))
+    if weight is not None:
+        tip = [[0.0, 0.0, ABOVE], [0.0, 0.0, -weight[1]]]
+        due.append((weight[0], len(planned), np.array(tip), 1.0))
+    presses = [
+        MarkedPress(name, name, number, tip, seen, np.zeros((len(tip) - 1, *seen.shape)), force)
+        for name, number, tip, force in due
+    ]
+    return Problem(design, presses, simulate_many, "layer", found=True).expected()
+
+
+def plan_without_gauge(
+    design: SimulatedSensor, indenters: Sequence[str]
+) -> tuple[list[PlannedPresses], tuple[str, float, float] | None]:
+    """Return presses by smooth indenters, and a weight: indenter, mass [kg] and depth [m].
+
+    The weight is the one that presses deepest of those that the skin bears.
+    """
+    smooth = [name for name in SMOOTH if name in indenters]
+    if not smooth:
+        raise SceneError(f"indenters: {', '.join(indenters)}; allowed: {', '.join(SMOOTH)}")
+    thickness = design.body.thickness
+    step = round(min(PRESSED * thickness, design.depth_max) / 2, 5)
+    planned = [
+        planned_presses(name, (step, 2 * step), round(SHEARED * thickness, 5), HOLD)
+        for name in smooth
+    ]
+    weights = [(name, planned_weight(design, name, design.body.modulus)) for name in smooth]
+    borne = [(name, *weight) for name, weight in weights if weight is not None]
+    return planned, max(borne, key=lambda each: each[2], default=None)

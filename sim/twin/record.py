@@ -264,21 +264,12 @@ def expected_lines(
     change: float,
 ) -> list[str]:
     """Return the sessions of a plan, and the 90 % intervals to expect with and without it."""
-    report = [
-        f"{each.indenter}: depth {' and '.join(f'{1e3 * depth:.3g}' for depth in each.depths)} mm, "
-        f"shear {1e3 * each.plan.shear:.3g} mm, hold {each.hold:.2g} s"
-        for each in planned
-    ]
+    report = [session_line(each) for each in planned]
     columns = {"plan": planned, "sphere, prism": usual}
     report.append(f"{'90 % interval, +-':<20}" + "".join(f"{name:>16}" for name in columns))
     spreads = [planner.expected(each).spreads for each in columns.values()]
     for name in planner.names:
-        factor, unit = SHOWN.get(name.partition("_")[0], (1.0, ""))
-        factor, unit = (100.0, "%") if is_log(name) else (factor, unit)
-        report.append(
-            f"{f'{name} [{unit}]' if unit else name:<20}"
-            + "".join(f"{1.645 * factor * each[name]:>16.3g}" for each in spreads)
-        )
+        report.append(expected_line(name, [each[name] for each in spreads]))
     for label, count in (
         ("presses", lambda part: sum(len(each.plan) for each in part)),
         ("seconds", lambda part: round(sum(each.seconds for each in part))),
@@ -286,6 +277,21 @@ def expected_lines(
     ):
         report.append(f"{label:<20}" + "".join(f"{count(each):>16}" for each in columns.values()))
     return report
+
+
+def session_line(each: PlannedPresses) -> str:
+    """Return the presses of a session in words."""
+    depths = " and ".join(f"{1e3 * depth:.3g}" for depth in each.depths)
+    shear = f"shear {1e3 * each.plan.shear:.3g} mm"
+    return f"{each.indenter}: depth {depths} mm, {shear}, hold {each.hold:.2g} s"
+
+
+def expected_line(name: str, spreads: Sequence[float]) -> str:
+    """Return half of the 90 % intervals of a quantity for some spreads, as a line of a table."""
+    factor, unit = SHOWN.get(name.partition("_")[0], (1.0, ""))
+    factor, unit = (100.0, "%") if is_log(name) else (factor, unit)
+    cells = "".join(f"{Z * factor * spread:>16.3g}" for spread in spreads)
+    return f"{f'{name} [{unit}]' if unit else name:<20}{cells}"
 
 
 def least_friction(tracks: Sequence[PressTrack]) -> float:
