@@ -20,8 +20,7 @@ from sim.scene import Effects, Friction, Scene
 from sim.sensors import CameraSignal, SimulatedSensor, SurfaceField, readout, sensor
 from sim.sensors.quantities import camera_quantities, with_camera, with_quantities
 from sim.sensors.variation import Segmentation
-from sim.tiers import simulate_many
-from sim.twin.gaugeless import ABOVE, GRAVITY, MarkedPress, fitted_without_gauge
+from sim.twin.gaugeless import ABOVE, FEM, MarkedPress, fitted_without_gauge, solved_by
 from sim.twin.markers import Follower
 from sim.twin.model import leaning, motion_of, printed
 
@@ -35,9 +34,9 @@ PRESSED, LAID, UNSEEN = (
 )
 # Depths of two presses over the design's thickness, and ways sideways over it.
 DEPTHS, SHEAR = (0.15, 0.27), 0.22
-# Masses at hand [kg], and the depth over the thickness up to which the heaviest is laid.
-MASSES, DEEPEST = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0), 0.35
-TRUTH = Fem(fineness=1.0)
+# Depths over the thickness to which the weight presses that is laid on a skin.
+LAID_DEEP = (0.2, 0.3)
+TRUTH = Fem(fineness=1.0, augmentations=1, tolerance=3e-4, step_travel=0.2e-3, elements_max=60_000)
 # Errors of segmentation [px]; parts of a press between pictures, over which markers are followed.
 SEEN, FOLLOWED = (
     Segmentation(jitter_px=0.3, correlation_px=4.0, missing=0.002),
@@ -78,9 +77,8 @@ class Together:
         for tier in dict.fromkeys(each[1] for each in self._due):
             own = [each for each in self._due if each[1] == tier]
             scenes = [scene for each in own for scene in each[0]]
-            how = tier if self.device == "cpu" else replace(tier, one_topology=True)
             try:
-                outcomes: list[Any] = simulate_many(scenes, how, device=self.device)
+                outcomes = solved_by(scenes, tier, device=self.device)
             except SceneError as error:
                 outcomes = [SimulationDiverged(str(error))] * len(scenes)
             every = iter(outcomes)
@@ -180,7 +178,7 @@ class Skin:
         return np.asarray(force)
 
     def presses(self) -> list[MarkedPress]:
-        """Return the presses of an arm, and of the heaviest weight that the skin bears."""
+        """Return the presses of an arm, and of a weight."""
         due = []
         for number, name in enumerate(PRESSED):
             mounted = self.mounted(name)
@@ -195,28 +193,23 @@ class Skin:
             "height": 0.0,
             "place": self.random.uniform(-1e-3, 1e-3, 2),
         }
-        depths = np.linspace(0.05, 0.6, 12) * self.true["thickness"]
-        path = np.zeros((13, 3))
-        path[:, 2] = np.r_[ABOVE, -depths]
+        depth = self.random.uniform(*LAID_DEEP) * self.true["thickness"]
+        down = np.array([[0.0, 0.0, ABOVE], [0.0, 0.0, -depth]])
+        due.append((LAID, len(PRESSED), down, upright, 1.0))
         rigid = [self.scene(tip, mounted, self.skin) for _, _, tip, mounted, _ in due]
-        *first, laid = self.together.solve([*rigid, self.scene(path, upright, self.skin)], TRUTH)
+        *first, laid = self.together.solve(rigid, TRUTH)
+        if not isinstance(laid, Result):
+            raise SimulationDiverged(f"weight: {laid}")
+        self.weight = -float(laid.force[-1, 2])
         forces = [self.yielded(each) for each in first]
-        curve = np.abs((laid if isinstance(laid, Result) else laid.reached).force[1:, 2])
-        most = np.interp(DEEPEST * self.true["thickness"], depths[: len(curve)], curve)
-        weight = GRAVITY * max([m for m in MASSES if m * GRAVITY < most], default=MASSES[0])
-        depth = float(np.interp(weight, np.r_[0.0, curve], np.r_[0.0, depths[: len(curve)]]))
-        self.weight = weight
-        due.append(
-            (LAID, len(PRESSED), np.array([[0.0, 0.0, ABOVE], [0.0, 0.0, -depth]]), upright, weight)
-        )
         again = [
             self.scene(tip, mounted, self.skin, force)
-            for (_, _, tip, mounted, _), force in zip(due, [*forces, 0.0], strict=True)
+            for (_, _, tip, mounted, _), force in zip(due, forces, strict=False)
         ]
-        results = self.together.solve(again, TRUTH)
+        results = [*self.together.solve(again, TRUTH), laid]
         with self.together.alone():
             return [
-                self.followed(result, name, number, tip, weight)
+                self.followed(result, name, number, tip, weight * self.weight)
                 for (name, number, tip, _, weight), result in zip(due, results, strict=True)
                 if isinstance(result, Result)
             ]
@@ -241,7 +234,9 @@ class Skin:
                 )
                 still = {"indenter": named(name), "place": (0.0, 0.0), "tilt": (0.0, 0.0)}
                 scenes.append(self.scene(path, {**still, "height": 0.0, "turn": np.eye(2)}, skin))
-        solved = self.together.solve(scenes, TRUTH)
+        count = len(UNSEEN)
+        truth = self.together.solve(scenes[:count], TRUTH)
+        solved = [*truth, *self.together.solve(scenes[count:], replace(FEM, elements_max=40_000))]
         pairs = [
             (one.force[1:], other.force[1:])
             for one, other in zip(solved[: len(UNSEEN)], solved[len(UNSEEN) :], strict=True)

@@ -7,6 +7,7 @@ force of the skin there gives the modulus. Errors of the bench are unknowns with
 
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -67,13 +68,13 @@ LAYER = Layer(grid=64)
 PRESSES, DEEPEST, ABOVE = 8, 0.75, 50e-6
 # Relative error of a force by the law, beside that of its mesh.
 LAW = 0.015
-# Most rounds, parts of a step that are tried, largest step that ends a fit in spreads of the
-# result, and longest step in spreads of the prior.
-ROUNDS, PARTS, SMALL, LONGEST = 8, (1.0, 0.4), 0.3, 2.0
+# Most rounds, largest step that ends a fit in spreads of the result, longest step in spreads of the
+# prior, by which a step is shortened that led nowhere, and from which it is given up.
+ROUNDS, SMALL, LONGEST, SHORTER, SHORTEST = 7, 0.3, 2.0, 0.3, 0.1
 # Length over which errors of the model are alike, over the thickness.
 ALIKE = 0.5
 # Least noise of a marker [px], least error of the model over the motion, and where both begin.
-LEAST, BEGUN = (0.02, 0.005), (0.3, 0.03)
+LEAST, BEGUN = (0.02, 0.01), (0.3, 0.03)
 # Distance over the median one beyond which a marker is taken for another one.
 WRONG = 10.0
 # Depths over the thickness, and places [m], at which a weight is looked for.
@@ -115,8 +116,10 @@ class Solution(NamedTuple):
 
 
 class Near(NamedTuple):
-    """Markers of a candidate (f, m, 2) [px] and their derivatives (f, m, 2, p), of each press."""
+    """A candidate: solutions, markers (f, m, 2) [px] and derivatives (f, m, 2, p) of each press."""
 
+    values: dict[str, float]
+    solutions: list[Solution]
     markers: list[Array]
     slopes: list[Array]
     of_force: list[Array]
@@ -189,16 +192,14 @@ class GaugelessFit(Uncertainty):
         problem.precision[:count, :count] = np.linalg.inv(self.covariance[np.ix_(rows, rows)])
         problem.centre |= {name: self.values[name] for name in problem.names[:count]}
         ended = problem.descended()
-        (solution,), (slope,) = ended.solutions, ended.near.of_force
+        (solution,), (slope,) = ended.near.solutions, ended.near.of_force
         spread = math.sqrt(slope @ ended.covariance @ slope + LAW**2)
-        return ended.values["modulus"] * float(solution.force[-1]), spread
+        return ended.near.values["modulus"] * float(solution.force[-1]), spread
 
 
 class Ended(NamedTuple):
     """Where a descent ended."""
 
-    values: dict[str, float]
-    solutions: list[Solution]
     near: Near
     covariance: Array
     noise: tuple[float, float]
@@ -249,7 +250,8 @@ class Problem:
             kind, _, number = name.partition("@")
             kind = kind.partition("_")[0]
             spreads.append(LAID[kind] if number in laid and kind in LAID else PRIOR[kind])
-        self.precision = np.diag(np.array(spreads) ** -2.0)
+        self._spreads = np.array(spreads)
+        self.precision = np.diag(self._spreads**-2)
         self.presses = [
             self._found(press) if press.weight and not found else press for press in presses
         ]
@@ -332,31 +334,28 @@ class Problem:
         """Return the way from the prior's centre to values (p,)."""
         return np.array([way_of(name, self.centre, values) for name in self.names])
 
-    def _near(
-        self, values: Mapping[str, float], solutions: Sequence[Solution], *, mesh: bool = False
-    ) -> Near:
-        """Return markers and derivatives at values; with `mesh` also those by the mesh's error."""
-        due = []
-        for k, (press, solution) in enumerate(zip(self.presses, solutions, strict=True)):
+    def _near(self, values: Mapping[str, float], forces: Sequence[Array]) -> Near | None:
+        """Return markers and derivatives at values, None if a press has no solution there."""
+        due: list[tuple[int, str, Mapping[str, float]]] = []
+        for k, press in enumerate(self.presses):
             own = {f"{name}@{press.mounting}": step for name, step in OWN_STEPS.items()}
-            for name, step in {**SKIN_STEPS, **own}.items():
-                moved = {**values, name: moved_by(name, values, step)}
-                due.append((k, name, moved, self._scene(press, moved, solution.force)))
-        solved = self._solved([scene for *_, scene in due])
-        ways = [(*each[:3], there) for each, there in zip(due, solved, strict=True)]
-        if mesh:
-            pairs = zip(self.presses, solutions, strict=True)
-            scenes = [self._scene(press, values, solution.force) for press, solution in pairs]
-            for k, there in enumerate(self._solved(scenes, ROUGHER)):
-                ways.append((k, f"mesh_{k}", {**values, f"mesh_{k}": 1.0}, there))
-        near = Near([], [], [])
-        for k, (press, solution) in enumerate(zip(self.presses, solutions, strict=True)):
+            steps = {**SKIN_STEPS, **own}.items()
+            due.append((k, "", values))
+            due += [(k, name, {**values, name: moved_by(name, values, by)}) for name, by in steps]
+        solved = self._solved([self._scene(self.presses[k], at, forces[k]) for k, _, at in due])
+        found = list(zip(due, solved, strict=True))
+        solutions = [there for (_, name, _), there in found if not name]
+        known = [each for each in solutions if each is not None]
+        if len(known) < len(solutions):
+            return None
+        near = Near(dict(values), known, [], [], [])
+        for k, (press, solution) in enumerate(zip(self.presses, known, strict=True)):
             markers = self.markers(press, solution, values)
             slopes = {name: np.zeros_like(markers) for name in self.names}
             force = dict.fromkeys(self.names, 0.0) | {"modulus": 1.0}
-            for of, name, moved, there in ways:
-                if of == k and there is not None:
-                    way = moved[name] if name.startswith("mesh") else way_of(name, values, moved)
+            for (of, name, moved), there in found:
+                if of == k and name and there is not None:
+                    way = way_of(name, values, moved)
                     slopes[name] = (self.markers(press, there, moved) - markers) / way
                     force[name] = math.log(there.force[-1] / solution.force[-1]) / way
             for name, along in PLACE_STEPS.items():
@@ -382,65 +381,63 @@ class Problem:
         Raises:
             SimulationDiverged: A press has no solution.
         """
-        values, solutions = dict(self.centre), self._begun()
+        forces = [solution.force for solution in self._begun()]
+        values, part = self.centre, 1.0
+        errors: Errors | None = None
         for done in range(1, ROUNDS + 1):
             progress(done / (ROUNDS + 1))
-            errors = Errors(self, solutions, self._near(values, solutions), values)
-            noise = errors.likeliest()
-            step, covariance = errors.step(noise)
-            prior = np.sqrt(np.diag(np.linalg.inv(self.precision)))
-            small = bool((np.abs(step) < SMALL * np.sqrt(np.diag(covariance))).all())
-            step *= min(1.0, LONGEST / float(np.max(np.abs(step) / prior)))
-            candidates = [
-                {n: moved_by(n, values, part * by) for n, by in zip(self.names, step, strict=True)}
-                for part in PARTS
-            ]
-            forces = [solution.force for solution in solutions]
-            ends = [
-                (errors.cost(noise, moved, there), order, moved, there)
-                for order, (moved, there) in enumerate(
-                    zip(candidates, self._tried(candidates, forces), strict=True)
-                )
-                if there is not None
-            ]
-            best = min(ends, default=None)
-            gained = -math.inf if best is None else errors.cost(noise, values, solutions) - best[0]
-            if best is not None and gained > 0:
-                _, _, values, solutions = best
-            if small or gained < SMALL:
+            near = self._near(values, forces)
+            gained = math.inf
+            if near is not None and errors is not None:
+                gained = errors.least - errors.cost(near.values, near.solutions)
+            if near is not None and gained > 0:
+                forces = [solution.force for solution in near.solutions]
+                errors, part = Errors(self, near), 1.0
+                step, covariance = errors.step()
+                small = np.abs(step) < SMALL * np.sqrt(np.diag(covariance))
+                if small[: len(OF_SENSOR)].all() or gained < SMALL:
+                    break
+                step *= min(1.0, LONGEST / float(np.max(np.abs(step) / self._spreads)))
+            elif errors is None or part < SHORTEST:
                 break
-        near = self._near(values, solutions, mesh=True)
-        errors = Errors(self, solutions, near, values)
-        noise = errors.likeliest()
-        return Ended(values, solutions, near, errors.step(noise)[1], noise, done)
+            else:
+                part *= SHORTER
+            moves = zip(self.names, part * step, strict=True)
+            values = {name: moved_by(name, errors.near.values, by) for name, by in moves}
+        if errors is None:
+            raise SimulationDiverged(f"{self.presses[0].name}: no solution near that of the design")
+        self._add_mesh(errors.near)
+        errors = Errors(self, errors.near)
+        return Ended(errors.near, errors.step()[1], errors.noise, done)
+
+    def _add_mesh(self, near: Near) -> None:
+        """Add the derivatives by the error of the mesh."""
+        pairs = list(zip(self.presses, near.solutions, strict=True))
+        scenes = [self._scene(press, near.values, solution.force) for press, solution in pairs]
+        for k, there in enumerate(self._solved(scenes, ROUGHER)):
+            if there is not None:
+                column = self.names.index(f"mesh_{k}")
+                off = self.markers(self.presses[k], there, near.values) - near.markers[k]
+                near.slopes[k][..., column] = off
+                near.of_force[k][column] = math.log(there.force[-1] / near.solutions[k].force[-1])
 
     def _begun(self) -> list[Solution]:
-        """Return the solutions at the prior's centre."""
-        forces = [np.zeros(1)] * len(self.presses)
-        for _ in range(2):  # the second time with the mount's yielding
-            (begun,) = self._tried([self.centre], forces)
-            if begun is None:
-                raise SimulationDiverged(f"{self.presses[0].name}: a press has no solution")
-            forces = [solution.force for solution in begun]
+        """Return the solutions at the prior's centre, of a rigid mount."""
+        scenes = [self._scene(press, self.centre) for press in self.presses]
+        begun = [each for each in self._solved(scenes) if each is not None]
+        if len(begun) < len(scenes):
+            names = ", ".join(press.name for press in self.presses)
+            raise SimulationDiverged(f"one of {names} has no solution; allowed: leave it out")
         return begun
 
     def expected(self) -> Uncertainty:
         """Return the uncertainty to expect if the prior's centre is true."""
-        solutions = self._begun()
-        near = self._near(self.centre, solutions)
+        near = self._near(self.centre, [solution.force for solution in self._begun()])
+        if near is None:
+            raise SimulationDiverged(f"{self.presses[0].name}: a press has no solution")
         pairs = zip(self.presses, near.markers, strict=True)
         self.presses = [replace(press, observed=markers) for press, markers in pairs]
-        return Uncertainty(self.names, Errors(self, solutions, near, self.centre).step(BEGUN)[1])
-
-    def _tried(
-        self, candidates: Sequence[Mapping[str, float]], forces: Sequence[Array]
-    ) -> list[list[Solution] | None]:
-        """Return the solutions of all presses for each candidate, None if one has none."""
-        pairs = list(zip(self.presses, forces, strict=True))
-        scenes = [self._scene(press, v, force) for v in candidates for press, force in pairs]
-        solved, count = self._solved(scenes), len(pairs)
-        parts = [solved[count * k : count * (k + 1)] for k in range(len(candidates))]
-        return [None if None in part else [each for each in part if each] for part in parts]
+        return Uncertainty(self.names, Errors(self, near, BEGUN).step()[1])
 
 
 class Errors:
@@ -451,13 +448,9 @@ class Errors:
     """
 
     def __init__(
-        self,
-        problem: Problem,
-        solutions: Sequence[Solution],
-        near: Near,
-        values: Mapping[str, float],
+        self, problem: Problem, near: Near, noise: tuple[float, float] | None = None
     ) -> None:
-        self._problem = problem
+        self._problem, self.near, values = problem, near, near.values
         presses = problem.presses
         sizes = [
             np.linalg.norm(press.observed - markers, axis=-1)
@@ -477,14 +470,14 @@ class Errors:
                 self._rests.append((k, rest, known, axes))
                 variances.append(np.repeat(np.maximum(lengths, 0.0), 2))
         self._alike = np.concatenate(variances)
-        self._residual = self._off(solutions, near.markers, values)
+        self._residual = self._off(near.solutions, near.markers, values)
         self._offset = problem.offset(values)
-        self._slopes = np.concatenate(
-            [
-                self._turned(near.slopes),
-                *(near.of_force[k][None] for k, press in self._weights()),
-            ]
-        )
+        forces = [near.of_force[k][None] for k, press in self._weights()]
+        self._slopes = np.concatenate([self._turned(near.slopes), *forces])
+        rests = Counter(presses[k].mounting for k, *_ in self._rests)
+        self._shared = math.sqrt((max(rests.values()) + 1) / 2)
+        self.noise = noise or self._likeliest()
+        self.least = self._squares(self._residual, self._offset)
 
     def _weights(self) -> list[tuple[int, MarkedPress]]:
         pairs = enumerate(self._problem.presses)
@@ -508,7 +501,8 @@ class Errors:
             math.log(press.weight / (values["modulus"] * solutions[k].force[-1]))
             for k, press in self._weights()
         ]
-        return np.r_[self._turned([press.observed - each for press, each in pairs]), forces]
+        off = self._turned([press.observed - each for press, each in pairs])
+        return np.asarray(np.r_[off, forces])
 
     def _information(self, noise: tuple[float, float]) -> tuple[Array, Array]:
         """Return inverse variances of residuals (r + w,), and the inverse covariance (p, p)."""
@@ -516,28 +510,26 @@ class Errors:
         sure = np.r_[sure, [LAW**-2] * len(self._weights())]
         return sure, self._slopes.T @ (sure[:, None] * self._slopes) + self._problem.precision
 
-    def step(self, noise: tuple[float, float]) -> tuple[Array, Array]:
+    def step(self, noise: tuple[float, float] | None = None) -> tuple[Array, Array]:
         """Return the step (p,) to the least cost, and the covariance there (p, p)."""
-        sure, normal = self._information(noise)
+        # Noise of the image without contact is common to all rests of a mounting.
+        sure, normal = self._information(noise or (self._shared * self.noise[0], self.noise[1]))
         downhill = self._slopes.T @ (sure * self._residual) - self._problem.precision @ self._offset
         covariance = np.asarray(np.linalg.inv(normal))
         return np.asarray(covariance @ downhill), covariance
 
-    def cost(
-        self,
-        noise: tuple[float, float],
-        values: Mapping[str, float],
-        solutions: Sequence[Solution],
-    ) -> float:
+    def cost(self, values: Mapping[str, float], solutions: Sequence[Solution]) -> float:
         """Return the squares of residuals, and of the way from the prior, in standard errors."""
         problem = self._problem
         pairs = zip(problem.presses, solutions, strict=True)
         markers = [problem.markers(press, solution, values) for press, solution in pairs]
-        residual, offset = self._off(solutions, markers, values), problem.offset(values)
-        sure = self._information(noise)[0]
-        return float(sure @ np.square(residual) + offset @ problem.precision @ offset)
+        return self._squares(self._off(solutions, markers, values), problem.offset(values))
 
-    def likeliest(self) -> tuple[float, float]:
+    def _squares(self, residual: Array, offset: Array) -> float:
+        sure = self._information(self.noise)[0]
+        return float(sure @ np.square(residual) + offset @ self._problem.precision @ offset)
+
+    def _likeliest(self) -> tuple[float, float]:
         """Return the errors under which residuals are likeliest, quantities unknown (REML)."""
 
         def errors(logs: Array) -> tuple[float, float]:
@@ -553,6 +545,22 @@ class Errors:
 
         how = {"maxfev": 60, "xatol": 0.03, "fatol": 0.1}
         return errors(minimize(unlikely, np.log(BEGUN), method="Nelder-Mead", options=how).x)
+
+
+def solved_by(
+    scenes: Sequence[Scene], tier: Fem | Layer, *, device: str, processes: Any = 1
+) -> list[Any]:
+    """Return the outcomes of scenes; a GPU solves those of one indenter in one launch."""
+    if device == "cpu" or isinstance(tier, Layer):
+        return simulate_many(scenes, tier, device=device, processes=processes)
+    outcomes: dict[int, Any] = {}
+    for name in dict.fromkeys(scene.indenter.name for scene in scenes):
+        own = [k for k, scene in enumerate(scenes) if scene.indenter.name == name]
+        every = simulate_many(
+            [scenes[k] for k in own], replace(tier, one_topology=True), device=device
+        )
+        outcomes |= zip(own, every, strict=True)
+    return [outcomes[k] for k in range(len(scenes))]
 
 
 def fitted_without_gauge(
@@ -584,25 +592,20 @@ def fitted_without_gauge(
                 f"{1e3 * most:.3g} mm in {design.name}"
             )
     with several(processes if solve is None else 1) as workers:
-
-        def by_many(scenes: Sequence[Scene], tier: Any) -> Sequence[Any]:
-            if device != "cpu" and isinstance(tier, Fem):
-                tier = replace(tier, one_topology=True)
-            return simulate_many(scenes, tier, device=device, processes=workers or 1)
-
-        problem = Problem(design, presses, solve or by_many, tier)
+        many = partial(solved_by, device=device, processes=workers or 1)
+        problem = Problem(design, presses, solve or many, tier)
         ended = problem.descended(progress)
     return GaugelessFit(
         names=problem.names,
         covariance=ended.covariance,
         design=design,
-        values=ended.values,
+        values=ended.near.values,
         presses=tuple(problem.presses),
         predicted=tuple(ended.near.markers),
         noise=ended.noise,
         rounds=ended.rounds,
         tier=tier,
-        solve=solve or partial(simulate_many, device=device),
+        solve=solve or partial(solved_by, device=device),
     )
 
 
