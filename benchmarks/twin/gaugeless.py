@@ -2,9 +2,8 @@
 
 import time
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from threading import Condition
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,88 +11,43 @@ from numpy.typing import NDArray
 
 from benchmarks.report import Page, Run, table
 from recorder.markers import find_blobs, smallest_marker
-from sim.errors import SceneError, SimulationDiverged
+from sim.errors import SimulationDiverged
 from sim.fem import Fem
 from sim.indenters import named
+from sim.layer import Layer
 from sim.result import Result
 from sim.scene import Effects, Friction, Scene
 from sim.sensors import CameraSignal, SimulatedSensor, SurfaceField, readout, sensor
 from sim.sensors.quantities import camera_quantities, with_camera, with_quantities
 from sim.sensors.variation import Segmentation
-from sim.twin.gaugeless import ABOVE, FEM, MarkedPress, fitted_without_gauge, solved_by
+from sim.twin.gaugeless import ABOVE, FEM, LAYER, MarkedPress, fitted_without_gauge, solved_by
 from sim.twin.markers import Follower
 from sim.twin.model import leaning, motion_of, printed
 
 Array = NDArray[np.float64]
 
 # Indenters of the fit and of its weight, and unseen ones.
-PRESSED, LAID, UNSEEN = (
-    ("sphere", "sphere_s", "hemisphere"),
-    "hemisphere",
-    ("torus", "cylinder_si", "dots"),
-)
+PRESSED, LAID = ("sphere", "sphere_s", "hemisphere"), "hemisphere"
+UNSEEN = ("torus", "cylinder_si", "dots")
 # Depths of two presses over the design's thickness, and ways sideways over it.
 DEPTHS, SHEAR = (0.15, 0.27), 0.22
+# Depths of presses by unseen indenters, and where they end [m].
+UNSEEN_DEPTHS, UNSEEN_SHEAR = (3e-4, 6e-4, 9e-4), (5e-4, 2e-4, -9e-4)
 # Depths over the thickness to which the weight presses that is laid on a skin.
 LAID_DEEP = (0.2, 0.3)
 TRUTH = Fem(fineness=1.0, augmentations=1, tolerance=3e-4, step_travel=0.2e-3, elements_max=60_000)
 # Errors of segmentation [px]; parts of a press between pictures, over which markers are followed.
-SEEN, FOLLOWED = (
-    Segmentation(jitter_px=0.3, correlation_px=4.0, missing=0.002),
-    (0.25, 0.5, 0.75, 1.0),
-)
+SEEN = Segmentation(jitter_px=0.3, correlation_px=4.0, missing=0.002)
+FOLLOWED = (0.25, 0.5, 0.75, 1.0)
 COMPARED = ("modulus", "thickness", "poisson", "friction")
-
-
-class Together:
-    """Solves the scenes of several fits in one launch."""
-
-    def __init__(self, fits: int, device: str) -> None:
-        self._ready, self._fits, self.device = Condition(), fits, device
-        self._due: list[tuple[Sequence[Scene], Any, list[Any]]] = []
-
-    def solve(self, scenes: Sequence[Scene], tier: Any) -> list[Any]:
-        """Return the outcomes of scenes, once every other fit waits as well."""
-        answer: list[Any] = []
-        with self._ready:
-            self._due.append((scenes, tier, answer))
-            self._flush()
-            self._ready.wait_for(lambda: answer or not scenes)
-        return answer
-
-    def leave(self) -> None:
-        """Wait for one fit less."""
-        with self._ready:
-            self._fits -= 1
-            self._flush()
-
-    def alone(self) -> Condition:
-        """Return the lock of the device, on which one renders at a time."""
-        return self._ready
-
-    def _flush(self) -> None:
-        if not self._due or len(self._due) < self._fits:
-            return
-        for tier in dict.fromkeys(each[1] for each in self._due):
-            own = [each for each in self._due if each[1] == tier]
-            scenes = [scene for each in own for scene in each[0]]
-            try:
-                outcomes = solved_by(scenes, tier, device=self.device)
-            except SceneError as error:
-                outcomes = [SimulationDiverged(str(error))] * len(scenes)
-            every = iter(outcomes)
-            for some, _, answer in own:
-                answer += [next(every) for _ in some]
-        self._due.clear()
-        self._ready.notify_all()
 
 
 class Skin:
     """Random skin of a design, its bench and its camera."""
 
-    def __init__(self, seed: int, together: Together) -> None:
+    def __init__(self, seed: int, run: Run) -> None:
         self.random = random = np.random.default_rng([62, seed])
-        self.together = together
+        self.device, self.quick = run.device, run.quick
         design = replace(sensor("gelsight"), trajectory=None, force_depth=None)
         assert isinstance(design.signal, CameraSignal)
         pattern = ("GelSight", "Array-I")[seed % 2]
@@ -117,6 +71,10 @@ class Skin:
             effects=Effects(friction=Friction(self.true["friction"])),
             variation=replace(self.skin.variation, segmentation=SEEN),
         )
+
+    def solve(self, scenes: Sequence[Scene], tier: Fem | Layer) -> list[Any]:
+        """Return the outcomes of scenes, in a quick run by tier `layer`."""
+        return solved_by(scenes, LAYER if self.quick else tier, device=self.device)
 
     def mounted(self, name: str) -> dict[str, Any]:
         """Return the errors of one mounting of an indenter."""
@@ -147,7 +105,7 @@ class Skin:
     ) -> MarkedPress:
         """Return the markers of a press in rendered pictures."""
         top = SurfaceField.of(result)
-        camera = readout(self.skin, seed=mounting, device=self.together.device)
+        camera = readout(self.skin, seed=mounting, device=self.device)
         blank = camera.masks(replace(top, displacement=0 * top.displacement[:1]))[0, 0]
         blobs = find_blobs(blank[None], smallest_marker(blank))
         markers = blobs.centre[blobs.whole]
@@ -188,16 +146,12 @@ class Skin:
                 end = way * np.cos(angle), way * np.sin(angle)
                 tip = np.array([[0.0, 0.0, ABOVE], [0.0, 0.0, -depth], [*end, -depth]])
                 due.append((name, number, tip, mounted, 0.0))
-        upright = {
-            **self.mounted(LAID),
-            "height": 0.0,
-            "place": self.random.uniform(-1e-3, 1e-3, 2),
-        }
+        upright = self.mounted(LAID) | {"height": 0.0, "place": self.random.uniform(-1e-3, 1e-3, 2)}
         depth = self.random.uniform(*LAID_DEEP) * self.true["thickness"]
         down = np.array([[0.0, 0.0, ABOVE], [0.0, 0.0, -depth]])
         due.append((LAID, len(PRESSED), down, upright, 1.0))
         rigid = [self.scene(tip, mounted, self.skin) for _, _, tip, mounted, _ in due]
-        *first, laid = self.together.solve(rigid, TRUTH)
+        *first, laid = self.solve(rigid, TRUTH)
         if not isinstance(laid, Result):
             raise SimulationDiverged(f"weight: {laid}")
         self.weight = -float(laid.force[-1, 2])
@@ -206,77 +160,65 @@ class Skin:
             self.scene(tip, mounted, self.skin, force)
             for (_, _, tip, mounted, _), force in zip(due, forces, strict=False)
         ]
-        results = [*self.together.solve(again, TRUTH), laid]
-        with self.together.alone():
-            return [
-                self.followed(result, name, number, tip, weight * self.weight)
-                for (name, number, tip, _, weight), result in zip(due, results, strict=True)
-                if isinstance(result, Result)
-            ]
+        results = [*self.solve(again, TRUTH), laid]
+        return [
+            self.followed(result, name, number, tip, weight * self.weight)
+            for (name, number, tip, _, weight), result in zip(due, results, strict=True)
+            if isinstance(result, Result)
+        ]
 
     def row(self) -> dict[str, Any]:
         """Fit without a gauge, and return errors of quantities and of unseen indenters' forces."""
-        presses = self.presses()
-        begun = time.perf_counter()
-        fit = fitted_without_gauge(presses, self.design, solve=self.together.solve)
+        begun, tier = time.perf_counter(), "layer" if self.quick else "fem"
+        fit = fitted_without_gauge(self.presses(), self.design, tier=tier, device=self.device)
         seconds = time.perf_counter() - begun
         twin = {name: fit.values[name] for name in COMPARED}
-        intervals = {name: fit.interval(name) for name in COMPARED}
-        wide = with_quantities(
-            replace(self.design, depth_max=0.9 * self.design.body.thickness), twin
+        wide = replace(self.design, depth_max=0.9 * self.design.body.thickness)
+        own = replace(
+            with_quantities(wide, twin), effects=Effects(friction=Friction(twin["friction"]))
         )
-        wide = replace(wide, effects=Effects(friction=Friction(twin["friction"])))
-        scenes = []
-        for skin in (self.skin, wide):
-            for name in UNSEEN:
-                path = np.array(
-                    [[0, 0, ABOVE], *([0, 0, -d] for d in (3e-4, 6e-4, 9e-4)), [5e-4, 2e-4, -9e-4]]
-                )
-                still = {"indenter": named(name), "place": (0.0, 0.0), "tilt": (0.0, 0.0)}
-                scenes.append(self.scene(path, {**still, "height": 0.0, "turn": np.eye(2)}, skin))
-        count = len(UNSEEN)
-        truth = self.together.solve(scenes[:count], TRUTH)
-        solved = [*truth, *self.together.solve(scenes[count:], replace(FEM, elements_max=40_000))]
+        path = np.array([[0, 0, ABOVE], *([0, 0, -d] for d in UNSEEN_DEPTHS), UNSEEN_SHEAR])
+        still = {"place": (0.0, 0.0), "tilt": (0.0, 0.0), "height": 0.0, "turn": np.eye(2)}
+        true, ours = (
+            [self.scene(path, {**still, "indenter": named(n)}, skin) for n in UNSEEN]
+            for skin in (self.skin, own)
+        )
         pairs = [
             (one.force[1:], other.force[1:])
-            for one, other in zip(solved[: len(UNSEEN)], solved[len(UNSEEN) :], strict=True)
+            for one, other in zip(self.solve(true, TRUTH), self.solve(ours, FEM), strict=True)
             if isinstance(one, Result) and isinstance(other, Result)
         ]
-        true, ours = (np.concatenate(each) for each in zip(*pairs, strict=True))
-        off = np.square(true - ours).sum(axis=0) / np.square(true - true.mean(axis=0)).sum(axis=0)
+        force, predicted = (np.concatenate(each) for each in zip(*pairs, strict=True))
+        square = np.square(force - force.mean(axis=0)).sum(axis=0)
+        intervals = {name: fit.interval(name) for name in COMPARED}
         return {
             "weight": self.weight,
-            "presses": len(presses),
-            "answers": len(pairs),
             "true": self.true,
             "values": twin,
             "intervals": intervals,
             "inside": {n: low < self.true[n] < high for n, (low, high) in intervals.items()},
-            "unidentified": list(fit.unidentified),
             "noise": fit.noise,
             "rounds": fit.rounds,
             "seconds": seconds,
-            "r2": (1 - off).tolist(),
-            "fz": float(np.median(np.abs(ours[:, 2] / true[:, 2] - 1))),
+            "answers": len(pairs),
+            "r2": (1 - np.square(force - predicted).sum(axis=0) / square).tolist(),
         }
 
 
 def measure(run: Run) -> dict[str, Any]:
-    """Fit twins of random skins from rendered pictures, all at once."""
-    seeds = range(1 if run.quick else run.options.skins)
-    together = Together(len(seeds), run.device)
+    """Fit twins of random skins from rendered pictures."""
 
-    def job(seed: int) -> dict[str, Any]:
+    def row(seed: int) -> dict[str, Any]:
         try:
-            return {"number": seed, **Skin(seed, together).row()}
-        except (SceneError, SimulationDiverged) as error:
-            return {"number": seed, "why": str(error)}
-        finally:
-            together.leave()
+            return {"number": seed, **Skin(seed, run).row()}
+        except SimulationDiverged as diverged:
+            return {"number": seed, "why": str(diverged)}
 
-    with ThreadPoolExecutor(len(seeds)) as pool:
-        rows = list(pool.map(job, seeds))
-    run.seeds = list(seeds)
+    run.seeds = range(1 if run.quick else run.options.skins)
+    rows = []
+    for seed in run.seeds:
+        run.progress(seed / len(run.seeds))
+        rows.append(run.once(f"skin {seed}", partial(row, seed)))
     return {"rows": rows}
 
 

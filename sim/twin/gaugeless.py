@@ -43,7 +43,7 @@ from sim.twin.plan import PlannedPresses, planned_presses
 PRIOR = {
     **PRIOR_WITH_GAUGE,
     **{"thickness": 0.3, "poisson": 0.03, "compliance": 7e-6, "turn": 0.026, "height": 30e-6},
-    **{"place": 0.3e-3, "size": 0.1e-3, "mesh": 1.0},
+    **{"place": 0.3e-3, "size": 0.1e-3, "mesh": 0.5},
     **{"scale": 0.005, "distance": 0.03, "shift": 12.0, "rotation": 0.026},
 }
 # The same of a weight that is laid by hand, about where its markers show it.
@@ -61,8 +61,10 @@ OWN_STEPS = {"height": -30e-6, "tilt_x": 0.015, "tilt_y": 0.015, "size": 0.15e-3
 PLACE_STEPS = {"place_x": (1e-4, 0.0), "place_y": (0.0, 1e-4)}
 VIEW_STEPS = {"scale": 0.01, "distance": 0.02, "shift_x": 3.0, "shift_y": 3.0, "rotation": 0.01}
 # Mesh that follows the contact; fineness of a rougher one over it, whose difference is about the
-# error of both; longest step of the tip over the thickness.
-FEM, ROUGHER, TRAVEL = Fem(fineness=0.8, augmentations=1, tolerance=1e-3), 0.7, 0.05
+# error of both; true markers beyond those of the finer one, over that difference, in the middle of
+# the prior; longest step of the tip over the thickness.
+FEM, ROUGHER, MESH = Fem(fineness=0.8, augmentations=1, tolerance=1e-3), 0.7, -0.5
+TRAVEL = 0.05
 LAYER = Layer(grid=64)
 # Most presses of a fit, deepest one over the thickness, and height from which a tip comes [m].
 PRESSES, DEEPEST, ABOVE = 8, 0.75, 50e-6
@@ -70,7 +72,7 @@ PRESSES, DEEPEST, ABOVE = 8, 0.75, 50e-6
 LAW = 0.015
 # Most rounds, largest step that ends a fit in spreads of the result, longest step in spreads of the
 # prior, by which a step is shortened that led nowhere, and from which it is given up.
-ROUNDS, SMALL, LONGEST, SHORTER, SHORTEST = 7, 0.3, 2.0, 0.3, 0.1
+ROUNDS, SMALL, LONGEST, SHORTER, SHORTEST = 8, 0.3, 2.0, 0.3, 0.1
 # Length over which errors of the model are alike, over the thickness.
 ALIKE = 0.5
 # Least noise of a marker [px], least error of the model over the motion, and where both begin.
@@ -193,13 +195,15 @@ class GaugelessFit(Uncertainty):
         problem.centre |= {name: self.values[name] for name in problem.names[:count]}
         ended = problem.descended()
         (solution,), (slope,) = ended.near.solutions, ended.near.of_force
-        spread = math.sqrt(slope @ ended.covariance @ slope + LAW**2)
-        return ended.near.values["modulus"] * float(solution.force[-1]), spread
+        moved = [way_of(name, ended.near.values, ended.values) for name in problem.names]
+        force = ended.near.values["modulus"] * float(solution.force[-1]) * math.exp(slope @ moved)
+        return force, math.sqrt(slope @ ended.covariance @ slope + LAW**2)
 
 
 class Ended(NamedTuple):
-    """Where a descent ended."""
+    """Where a descent ended, with a last step from the candidate `near` by its derivatives."""
 
+    values: dict[str, float]
     near: Near
     covariance: Array
     noise: tuple[float, float]
@@ -397,7 +401,7 @@ class Problem:
                 small = np.abs(step) < SMALL * np.sqrt(np.diag(covariance))
                 if small[: len(OF_SENSOR)].all() or gained < SMALL:
                     break
-                step *= min(1.0, LONGEST / float(np.max(np.abs(step) / self._spreads)))
+                step = np.clip(step, -LONGEST * self._spreads, LONGEST * self._spreads)
             elif errors is None or part < SHORTEST:
                 break
             else:
@@ -408,10 +412,14 @@ class Problem:
             raise SimulationDiverged(f"{self.presses[0].name}: no solution near that of the design")
         self._add_mesh(errors.near)
         errors = Errors(self, errors.near)
-        return Ended(errors.near, errors.step()[1], errors.noise, done)
+        step, covariance = errors.step()
+        moves = zip(self.names, step, strict=True)
+        values = {name: moved_by(name, errors.near.values, by) for name, by in moves}
+        return Ended(values, errors.near, covariance, errors.noise, done)
 
     def _add_mesh(self, near: Near) -> None:
-        """Add the derivatives by the error of the mesh."""
+        """Add the derivatives by the error of the mesh, and the middle of its prior."""
+        self.centre |= {name: MESH for name in self.names if name.startswith("mesh")}
         pairs = list(zip(self.presses, near.solutions, strict=True))
         scenes = [self._scene(press, near.values, solution.force) for press, solution in pairs]
         for k, there in enumerate(self._solved(scenes, ROUGHER)):
@@ -599,7 +607,7 @@ def fitted_without_gauge(
         names=problem.names,
         covariance=ended.covariance,
         design=design,
-        values=ended.near.values,
+        values=ended.values,
         presses=tuple(problem.presses),
         predicted=tuple(ended.near.markers),
         noise=ended.noise,
