@@ -15,7 +15,7 @@ from sim.errors import SimulationDiverged
 from sim.fem import Fem
 from sim.indenters import named
 from sim.layer import Layer
-from sim.result import Result
+from sim.result import ContactTier, Result
 from sim.scene import Effects, Friction, Scene
 from sim.sensors import CameraSignal, SimulatedSensor, SurfaceField, readout, sensor
 from sim.sensors.quantities import camera_quantities, with_camera, with_quantities
@@ -169,7 +169,8 @@ class Skin:
 
     def row(self) -> dict[str, Any]:
         """Fit without a gauge, and return errors of quantities and of unseen indenters' forces."""
-        begun, tier = time.perf_counter(), "layer" if self.quick else "fem"
+        begun = time.perf_counter()
+        tier: ContactTier = "layer" if self.quick else "fem"
         fit = fitted_without_gauge(self.presses(), self.design, tier=tier, device=self.device)
         seconds = time.perf_counter() - begun
         twin = {name: fit.values[name] for name in COMPARED}

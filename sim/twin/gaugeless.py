@@ -141,7 +141,7 @@ class GaugelessFit(Uncertainty):
     """Noise of a marker [px], and error of the model over its motion."""
     rounds: int
     tier: ContactTier
-    solve: Solve
+    device: str
 
     @property
     def weighed(self) -> bool:
@@ -179,17 +179,14 @@ class GaugelessFit(Uncertainty):
         """Return the interval of a quantity, 90 % by default."""
         return interval_of(name, self.values[name], z * self.spreads[name])
 
-    def distance(self, name: str, value: float) -> float:
-        """Return the distance from a value to that of a quantity, in its standard deviations."""
-        return abs(way_of(name, {name: value}, self.values)) / self.spreads[name]
-
     def force_of(self, press: MarkedPress) -> tuple[float, float]:
         """Return the force [N] under which markers are as in a press that was not fitted.
 
         With the standard deviation of its logarithm.
         """
         rows = [self.names.index(name) for name in OF_SENSOR]
-        problem = Problem(self.design, [press], self.solve, self.tier, weighs=False)
+        solve = partial(solved_by, device=self.device)
+        problem = Problem(self.design, [press], solve, self.tier, weighs=False)
         count = len(rows)
         problem.precision[:count, :count] = np.linalg.inv(self.covariance[np.ix_(rows, rows)])
         problem.centre |= {name: self.values[name] for name in problem.names[:count]}
@@ -213,8 +210,8 @@ class Ended(NamedTuple):
 class Problem:
     """Presses to explain by the quantities of a skin, its camera and its bench.
 
-    Weights are equations for the modulus if it `weighs`, at places and depths that are `found`
-    already, or are looked for.
+    Weights are equations for the modulus if it `weighs`. Where one presses is looked for if its tip
+    is not known: all 0.
     """
 
     def __init__(
@@ -225,7 +222,6 @@ class Problem:
         tier: ContactTier,
         *,
         weighs: bool = True,
-        found: bool = False,
     ) -> None:
         if not isinstance(design.signal, CameraSignal):
             raise SceneError(f"{design.name}.signal: taxels; allowed: a camera")
@@ -256,9 +252,7 @@ class Problem:
             spreads.append(LAID[kind] if number in laid and kind in LAID else PRIOR[kind])
         self._spreads = np.array(spreads)
         self.precision = np.diag(self._spreads**-2)
-        self.presses = [
-            self._found(press) if press.weight and not found else press for press in presses
-        ]
+        self.presses = [press if press.tip.any() else self._found(press) for press in presses]
 
     def _scene(
         self, press: MarkedPress, values: Mapping[str, float], force: Array | float = 0.0
@@ -578,12 +572,11 @@ def fitted_without_gauge(
     tier: ContactTier = "fem",
     device: str = "cpu",
     processes: int = 1,
-    solve: Solve | None = None,
     progress: Progress = lambda fraction: None,
 ) -> GaugelessFit:
     """Return the twin that explains how far markers move in presses of one sensor.
 
-    Without a press by a weight the modulus keeps its prior. `solve` replaces `simulate_many`.
+    Without a press by a weight the modulus keeps its prior.
 
     Raises:
         SceneError: There is no press by an arm, one is too deep, or the design has no camera.
@@ -599,9 +592,9 @@ def fitted_without_gauge(
                 f"{press.name}: {-1e3 * press.tip[:, 2].min():.3g} mm deep; allowed: up to "
                 f"{1e3 * most:.3g} mm in {design.name}"
             )
-    with several(processes if solve is None else 1) as workers:
-        many = partial(solved_by, device=device, processes=workers or 1)
-        problem = Problem(design, presses, solve or many, tier)
+    with several(processes) as workers:
+        solve = partial(solved_by, device=device, processes=workers or 1)
+        problem = Problem(design, presses, solve, tier)
         ended = problem.descended(progress)
     return GaugelessFit(
         names=problem.names,
@@ -613,7 +606,7 @@ def fitted_without_gauge(
         noise=ended.noise,
         rounds=ended.rounds,
         tier=tier,
-        solve=solve or partial(solved_by, device=device),
+        device=device,
     )
 
 
@@ -685,25 +678,6 @@ def weighed_press(text: str, mounting: int) -> MarkedPress:
     return MarkedPress(name, indenter, mounting, np.zeros((2, 3)), markers, observed[None], force)
 
 
-def planned_weight(
-    design: SimulatedSensor, indenter: str, modulus: float
-) -> tuple[float, float] | None:
-    """Return the heaviest usual mass [kg] that a skin of some modulus [Pa] bears on an indenter.
-
-    With the depth [m] to which it presses, by tier `layer`. None if even the lightest is too heavy.
-    """
-    depths = np.linspace(0.02, BEARS, 12) * design.body.thickness
-    path = np.column_stack([np.zeros((13, 2)), np.r_[ABOVE, -depths]])
-    skin = with_quantities(replace(design, effects=Effects()), {"modulus": modulus})
-    skin = replace(skin, depth_max=0.9 * design.body.thickness)
-    result = simulate(skin.scene(indenter_of(indenter), motion_of(path, np.arange(13.0))), LAYER)
-    force = -result.force[1:, 2]
-    borne = [mass for mass in MASSES if GRAVITY * mass < force[-1]]
-    if not borne:
-        return None
-    return borne[-1], float(np.interp(GRAVITY * borne[-1], np.r_[0.0, force], np.r_[0.0, depths]))
-
-
 def expected_without_gauge(
     design: SimulatedSensor, planned: Sequence[PlannedPresses], weight: tuple[str, float] | None
 ) -> Uncertainty:
@@ -715,23 +689,22 @@ def expected_without_gauge(
     if not isinstance(design.signal, CameraSignal):
         raise SceneError(f"{design.name}.signal: taxels; allowed: a camera")
     flat = design.signal.drawn()[0].centres
-    pixels = design.signal.camera().project(
-        np.column_stack([flat, design.body.heights_at(*flat.T)])
-    )
+    points = np.column_stack([flat, design.body.heights_at(*flat.T)])
+    pixels = design.signal.camera().project(points)
     seen = pixels[((pixels > 0) & (pixels < (WIDTH, HEIGHT))).all(axis=1)]
-    due = []
-    for number, each in enumerate(planned):
-        for depth in each.depths:
-            tip = [[0.0, 0.0, ABOVE], [0.0, 0.0, -depth], [each.plan.shear, 0.0, -depth]]
-            due.append((each.indenter, number, np.array(tip), 0.0))
+    down = np.array([0.0, 0.0, -1.0])
+    due = [
+        (each.indenter, number, [0 * down, depth * down, [each.plan.shear, 0.0, -depth]], 0.0)
+        for number, each in enumerate(planned)
+        for depth in each.depths
+    ]
     if weight is not None:
-        tip = [[0.0, 0.0, ABOVE], [0.0, 0.0, -weight[1]]]
-        due.append((weight[0], len(planned), np.array(tip), 1.0))
+        due.append((weight[0], len(planned), [0 * down, weight[1] * down], 1.0))
     presses = [
-        MarkedPress(name, name, number, tip, seen, np.zeros((len(tip) - 1, *seen.shape)), force)
+        MarkedPress(name, name, number, np.array(tip), seen, np.zeros((0, *seen.shape)), force)
         for name, number, tip, force in due
     ]
-    return Problem(design, presses, simulate_many, "layer", found=True).expected()
+    return Problem(design, presses, simulate_many, "layer").expected()
 
 
 def plan_without_gauge(
@@ -750,6 +723,13 @@ def plan_without_gauge(
         planned_presses(name, (step, 2 * step), round(SHEARED * thickness, 5), HOLD)
         for name in smooth
     ]
-    weights = [(name, planned_weight(design, name, design.body.modulus)) for name in smooth]
-    borne = [(name, *weight) for name, weight in weights if weight is not None]
-    return planned, max(borne, key=lambda each: each[2], default=None)
+    depths = np.r_[0.0, np.linspace(0.02, BEARS, 12) * thickness]
+    path = motion_of(np.column_stack([np.zeros((13, 2)), -depths]), np.arange(13.0))
+    skin = replace(design, effects=Effects(), depth_max=0.9 * thickness)
+    weights = []
+    for name in smooth:
+        force = -simulate(skin.scene(indenter_of(name), path), LAYER).force[:, 2]
+        for mass in MASSES:
+            if GRAVITY * mass < force[-1]:
+                weights.append((name, mass, float(np.interp(GRAVITY * mass, force, depths))))
+    return planned, max(weights, key=lambda each: each[2], default=None)

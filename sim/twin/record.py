@@ -201,22 +201,14 @@ def lines_without_gauge(fit: GaugelessFit, foretold: Foretold) -> list[str]:
 
 def summary_without_gauge(fit: GaugelessFit, foretold: Foretold) -> dict[str, Any]:
     """Return the result as plain values in SI, for programs; `foretold` as in the lines."""
-    off, way = differences(fit.presses, fit.predicted)
     return {
-        "values": {name: fit.values[name] for name in fit.names},
+        "values": dict(fit.values),
         "intervals_90": {name: list(fit.interval(name)) for name in fit.names},
-        "spreads": fit.spreads,
         "untold": list(fit.unidentified),
         "weighed": fit.weighed,
-        "off_px": off,
-        "moved_px": way,
         "noise_px": fit.noise[0],
         "model": fit.noise[1],
-        "rounds": fit.rounds,
-        "checks": [
-            {"weight": press.weight, "force": force, "spread": spread}
-            for press, force, spread in foretold
-        ],
+        "checks": [[press.weight, force, spread] for press, force, spread in foretold],
     }
 
 
