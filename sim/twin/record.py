@@ -87,8 +87,8 @@ def twin_yaml(sensor: SimulatedSensor, design: str, sessions: Sequence[str]) -> 
         },
     }
     signal = sensor.signal
-    if isinstance(signal, CameraSignal) and signal.layout is not None:
-        content["signal"] = _signal(signal, signal.layout)
+    if isinstance(signal, CameraSignal) and (signal.layout or "scale" in posterior.names):
+        content["signal"] = _signal(signal)
     if sensor.trajectory is None:
         content["trajectory"] = None
     if sensor.force_depth is None:
@@ -96,23 +96,27 @@ def twin_yaml(sensor: SimulatedSensor, design: str, sessions: Sequence[str]) -> 
     return yaml_text(content)
 
 
-def _signal(signal: CameraSignal, layout: Pattern) -> dict[str, Any]:
-    """Return the camera and layout of a row as it is written."""
-    camera = signal.camera()
+def _signal(signal: CameraSignal) -> dict[str, Any]:
+    """Return the camera of a row as it is written, and its layout if it has one."""
+    camera, layout = signal.camera(), signal.layout
+    drawn = {} if layout is None else {"patterns": [layout.name], "layout": _layout(layout)}
     return {
-        "patterns": [layout.name],
-        "layout": {
-            "name": layout.name,
-            "shape": layout.shape,
-            "size_mm": _round(1e3 * layout.size),
-            "angle_deg": _round(math.degrees(layout.angle)),
-            "places_mm": [[round(1e3 * each, 4) for each in centre] for centre in layout.places],
-        },
+        **drawn,
         "scale_mm_per_px": _round(camera.mm_per_px),
         "distance_mm": _round(1e3 * camera.distance),
         "shift_px": [_round(each) for each in camera.shift],
         "rotation_deg": _round(math.degrees(camera.rotation)),
         "tilt_deg": [_round(math.degrees(each)) for each in camera.tilt],
+    }
+
+
+def _layout(layout: Pattern) -> dict[str, Any]:
+    return {
+        "name": layout.name,
+        "shape": layout.shape,
+        "size_mm": _round(1e3 * layout.size),
+        "angle_deg": _round(math.degrees(layout.angle)),
+        "places_mm": [[round(1e3 * each, 4) for each in centre] for centre in layout.places],
     }
 
 
