@@ -65,6 +65,8 @@ VIEW_STEPS = {"scale": 0.01, "distance": 0.02, "shift_x": 3.0, "shift_y": 3.0, "
 # the prior; longest step of the tip over the thickness.
 FEM, ROUGHER, MESH = Fem(fineness=0.8, augmentations=1, tolerance=1e-3), 0.7, -0.5
 TRAVEL = 0.05
+# On a CPU the mesh is rougher: a round of seven presses then takes some three minutes of a core.
+FEM_OF_CPU = replace(FEM, fineness=0.65)
 LAYER = Layer(grid=64)
 # Most presses of a fit, deepest one over the thickness, and height from which a tip comes [m].
 PRESSES, DEEPEST, ABOVE = 8, 0.75, 50e-6
@@ -186,7 +188,8 @@ class GaugelessFit(Uncertainty):
         """
         rows = [self.names.index(name) for name in OF_SENSOR]
         solve = partial(solved_by, device=self.device)
-        problem = Problem(self.design, [press], solve, self.tier, weighs=False)
+        numerics = _numerics(self.tier, self.device)
+        problem = Problem(self.design, [press], solve, numerics, weighs=False)
         count = len(rows)
         problem.precision[:count, :count] = np.linalg.inv(self.covariance[np.ix_(rows, rows)])
         problem.centre |= {name: self.values[name] for name in problem.names[:count]}
@@ -219,7 +222,7 @@ class Problem:
         design: SimulatedSensor,
         presses: Sequence[MarkedPress],
         solve: Solve,
-        tier: ContactTier,
+        tier: Fem | Layer,
         *,
         weighs: bool = True,
     ) -> None:
@@ -273,11 +276,13 @@ class Problem:
     def _solved(self, scenes: Sequence[Scene], finer: float = 1.0) -> list[Solution | None]:
         """Return the solutions of scenes, None where there is none."""
         travel = TRAVEL * self._design.body.thickness
-        fem = replace(FEM, fineness=finer * FEM.fineness, step_travel=travel)
-        solved = list(self._solve(scenes, LAYER if self._tier == "layer" else fem))
+        tier = self._tier
+        if isinstance(tier, Fem):
+            tier = replace(tier, fineness=finer * tier.fineness, step_travel=travel)
+        solved = list(self._solve(scenes, tier))
         failed = [k for k, each in enumerate(solved) if not isinstance(each, Result)]
-        if failed and self._tier == "fem":
-            careful = replace(fem, step_travel=travel / 4, precision="float64")
+        if failed and isinstance(tier, Fem):
+            careful = replace(tier, step_travel=travel / 4, precision="float64")
             again = self._solve([scenes[k] for k in failed], careful)
             for k, each in zip(failed, again, strict=True):
                 solved[k] = each
@@ -549,6 +554,12 @@ class Errors:
         return errors(minimize(unlikely, np.log(BEGUN), method="Nelder-Mead", options=how).x)
 
 
+def _numerics(tier: ContactTier, device: str) -> Fem | Layer:
+    if tier == "layer":
+        return LAYER
+    return FEM_OF_CPU if device == "cpu" else FEM
+
+
 def solved_by(
     scenes: Sequence[Scene], tier: Fem | Layer, *, device: str, processes: Any = 1
 ) -> list[Any]:
@@ -594,7 +605,7 @@ def fitted_without_gauge(
             )
     with several(processes) as workers:
         solve = partial(solved_by, device=device, processes=workers or 1)
-        problem = Problem(design, presses, solve, tier)
+        problem = Problem(design, presses, solve, _numerics(tier, device))
         ended = problem.descended(progress)
     return GaugelessFit(
         names=problem.names,
@@ -611,7 +622,7 @@ def fitted_without_gauge(
 
 
 def marked_presses(observations: Sequence[MarkerObservations]) -> list[MarkedPress]:
-    """Return the deepest presses of observations, each until its tip goes back sideways."""
+    """Return the deepest presses of each mounting, `PRESSES` in all, until their tips go back."""
     presses = []
     tracks = list({id(each.track): None for each in observations})
     for each in observations:
@@ -630,7 +641,13 @@ def marked_presses(observations: Sequence[MarkerObservations]) -> list[MarkedPre
                 each.observed[own[:count]],
             )
             presses.append(press)
-    return sorted(presses, key=lambda press: float(press.tip[:, 2].min()))[:PRESSES]
+    presses.sort(key=lambda press: float(press.tip[:, 2].min()))
+    before: Counter[int] = Counter()
+    ranks = []
+    for press in presses:
+        ranks.append(before[press.mounting])
+        before[press.mounting] += 1
+    return [presses[k] for k in np.argsort(ranks, kind="stable")[:PRESSES]]
 
 
 def weighed_press(text: str, mounting: int) -> MarkedPress:
@@ -704,7 +721,7 @@ def expected_without_gauge(
         MarkedPress(name, name, number, np.array(tip), seen, np.zeros((0, *seen.shape)), force)
         for name, number, tip, force in due
     ]
-    return Problem(design, presses, simulate_many, "layer").expected()
+    return Problem(design, presses, simulate_many, LAYER).expected()
 
 
 def plan_without_gauge(

@@ -190,8 +190,8 @@ def lines_without_gauge(fit: GaugelessFit, foretold: Foretold) -> list[str]:
         report.append(_line(name, fit.values[name], fit.interval(name), note))
     report.append("relaxation is the design's: markers do not tell it")
     report.append(
-        f"{_marker_line(fit.presses, fit.predicted)}; noise {fit.noise[0]:.2f} px, error of the "
-        f"model {100 * fit.noise[1]:.1f} % of the motion"
+        f"{len(fit.presses)} presses; {_marker_line(fit.presses, fit.predicted)}; noise "
+        f"{fit.noise[0]:.2f} px, error of the model {100 * fit.noise[1]:.1f} % of the motion"
     )
     for press, force, spread in foretold:
         low, high = (force * math.exp(sign * Z * spread) for sign in (-1, 1))

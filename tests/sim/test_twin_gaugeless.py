@@ -19,7 +19,7 @@ from sim.sensors import SimulatedSensor, SurfaceField, read_sensor, sensor
 from sim.sensors.quantities import camera_quantities, with_quantities
 from sim.tiers import simulate
 from sim.twin import MarkedPress, fitted_without_gauge, weighed_press
-from sim.twin.gaugeless import GRAVITY, GaugelessFit, Problem
+from sim.twin.gaugeless import GRAVITY, LAYER, GaugelessFit, Problem
 from tactile.__main__ import main
 
 TRUE = {"modulus": 190e3, "thickness": 3.6e-3, "poisson": 0.46, "friction": 0.4}
@@ -161,7 +161,7 @@ def test_the_command_fits_sessions_without_forces_and_foretells_a_weight(
 
     def known(presses: list[MarkedPress], design: SimulatedSensor, **_: object) -> GaugelessFit:
         given[:] = presses
-        problem = Problem(design, [replace(p, tip=DOWN) for p in presses], list, "layer")
+        problem = Problem(design, [replace(p, tip=DOWN) for p in presses], list, LAYER)
         predicted = tuple(each.observed + off for each in presses)
         covariance, values = 1e-4 * np.eye(len(problem.names)), {**problem.centre, "shift_x": 3.0}
         left = (0.1, 0.01), 3, "layer", "cpu"
