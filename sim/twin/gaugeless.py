@@ -382,6 +382,7 @@ class Problem:
         """Return where the quantities explain the presses best, begun at the prior's centre.
 
         Raises:
+            SceneError: A tip is nearly through the skin.
             SimulationDiverged: A press has no solution.
         """
         forces = [solution.force for solution in self._begun()]
@@ -414,6 +415,14 @@ class Problem:
         step, covariance = errors.step()
         moves = zip(self.names, step, strict=True)
         values = {name: moved_by(name, errors.near.values, by) for name, by in moves}
+        most = min(self._design.depth_max, 0.9 * values["thickness"])
+        for press in self.presses:
+            depth = values[f"height@{press.mounting}"] - float(press.tip[:, 2].min())
+            if depth > most:
+                raise SceneError(
+                    f"{press.name}: the fit has the tip {1e3 * depth:.2f} mm deep; allowed: up to "
+                    f"{1e3 * most:.2f} mm, 90 % of the thickness: press less, or lay less weight"
+                )
         return Ended(values, errors.near, covariance, errors.noise, done)
 
     def _add_mesh(self, near: Near) -> None:
