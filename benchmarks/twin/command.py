@@ -6,7 +6,7 @@ from typing import Literal
 
 from benchmarks.processes import add_processes
 from benchmarks.report import Benchmark, Part
-from benchmarks.twin import demo, labels, live, skins
+from benchmarks.twin import demo, gaugeless, labels, live, skins
 from recorder.command_line.options import whole
 
 
@@ -34,6 +34,7 @@ BENCHMARK = Benchmark(
         _skins("skins", "Random skins"),
         _skins("planned", "Presses of a plan of five minutes"),
         _skins("large-strain", "Large strain: truth and correction by `fem`", "fem"),
+        Part("gaugeless", gaugeless.measure, gaugeless.section, 100, "a GPU, if complete"),
         Part("labels", labels.measure, labels.section, weight=100),
         Part("live", live.measure, live.section, weight=15),
     ],

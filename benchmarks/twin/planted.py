@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.fem import FOR_EDGES, Fem
-from sim.indenters import Indenter, Part, named
+from sim.indenters import Indenter, named
 from sim.result import ContactTier
 from sim.sensors import SimulatedSensor, sensor
 from sim.sensors.quantities import with_quantities
 from sim.stream import LivePress
 from sim.tiers import simulate
 from sim.twin import PressTrack, track_of
-from sim.twin.model import leaning, motion_of
+from sim.twin.model import leaning, motion_of, printed
 from sim.twin.plan import PlannedPresses, planned_presses
 
 Array = NDArray[np.float64]
@@ -29,8 +29,6 @@ RATE, SOLVED = 200.0, 50.0
 HELD = 24
 # By `fem` the rate of solutions and those of one hold are a sixth.
 FEWER = 6
-# Width of an indenter without sides, such as a cone [m].
-WIDTH = 7e-3
 # Mesh of these, as in archives.
 FEM = Fem(spacing=0.8e-3, grading=FOR_EDGES)
 
@@ -178,29 +176,6 @@ def pressed(
 def force_of(press: LivePress) -> Array:
     """Return the force of a press (3,) [N]; 0 without contact."""
     return np.asarray(press.force, float) if press.touching else np.zeros(3)
-
-
-def printed(indenter: Indenter, size: float) -> Indenter:
-    """Return an indenter whose width, of `WIDTH` if it has none, is greater by `size` [m]."""
-    width = float(np.diff(indenter.bounds[0])[0])
-    scale = 1 + size / (width if np.isfinite(width) else WIDTH)
-    if scale == 1:
-        return indenter
-    return replace(
-        indenter,
-        parts=tuple(_scaled(part, scale) for part in indenter.parts),
-        edge_radius=indenter.edge_radius * scale,
-        narrowest=indenter.narrowest * scale,
-    )
-
-
-def _scaled(part: Part, scale: float) -> Part:
-    angles = {"half_plane": (0, 1), "band": (0, 1), "circle": (), "path": range(2, 10**6, 3)}
-    values = tuple(
-        value if place in angles[part.figure] else value * scale
-        for place, value in enumerate(part.values)
-    )
-    return replace(part, values=values, axis=(part.axis[0] * scale, part.axis[1] * scale))
 
 
 def random_skin(random: np.random.Generator, base: str) -> tuple[SimulatedSensor, Bench]:

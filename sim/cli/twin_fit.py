@@ -1,10 +1,13 @@
 """`tactile twin fit`: identify a simulated twin of a sensor from recorded presses."""
 
+from __future__ import annotations
+
 import argparse
 import json
 import os
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from recorder.command_line.options import (
     add_device,
@@ -15,6 +18,9 @@ from recorder.command_line.options import (
     whole,
 )
 from sim.errors import SceneError
+
+if TYPE_CHECKING:
+    from sim.sensors import SimulatedSensor
 
 # Difference of forces at rest above which a twin is refused [%].
 REFUSED = 5.0
@@ -41,6 +47,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--sensor", required=True, metavar="NAME", help=about)
     about = "marker archives of these sessions (tactile markers), for camera and layout"
     add("--markers", nargs="+", type=Path, default=[], metavar="ARCHIVE", help=about)
+    about = "fit without forces: the skin by the motion of its markers"
+    add("--no-gauge", action="store_true", help=about)
+    about = "without a gauge: mass of weight, tip and holder, and the marker archive under it"
+    add("--weight", action="append", default=[], metavar="MASS=ARCHIVE", help=about)
+    about = "the same of a weight that is not fitted but foretold"
+    add("--check-weight", action="append", default=[], metavar="MASS=ARCHIVE", help=about)
     about = "sessions that are not fitted but foretold"
     add("--held-out", nargs="+", type=Path, default=[], metavar="SESSION", help=about)
     add("--out", type=Path, default=Path("twin.yaml"), metavar="PATH", help="row (%(default)s)")
@@ -53,9 +65,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--tier",
         choices=("layer", "fem"),
-        default="layer",
         help="law of the forces: layer: small strain; fem: corrected for large strain, in "
-        "minutes; from a depth of a sixth of the thickness on it matters (%(default)s)",
+        "minutes; from a depth of a sixth of the thickness on it matters (layer; without a gauge "
+        "fem)",
     )
     add_device(parser, "device of tier fem")
     add_grid(parser, GRID)
@@ -67,13 +79,16 @@ def run(options: argparse.Namespace) -> int:
     from recorder.archive import MarkerArchive
     from recorder.progress import Progress
     from recorder.session import Session
-    from sim.sensors import NAMES, sensor_of
-    from sim.sensors.sensor import ROWS
+    from sim.sensors import sensor_of
     from sim.twin import fitted, fitted_camera, held_out_predictions, marker_observations, tracks_of
     from sim.twin.camera import differences
-    from sim.twin.record import draw, lines, summary, twin_yaml
+    from sim.twin.record import draw, lines, summary
 
     design = sensor_of(options.sensor)
+    if options.no_gauge:
+        return _without_gauge(options, design)
+    if options.weight or options.check_weight:
+        raise SceneError("--weight: with a gauge; allowed: with --no-gauge")
     if both := [path.name for path in options.held_out if path in options.sessions]:
         raise SceneError(f"--held-out: {', '.join(both)}, fitted as well; allowed: other sessions")
     tracks, others = (
@@ -93,7 +108,7 @@ def run(options: argparse.Namespace) -> int:
             tracks,
             design,
             grid=grid,
-            tier=options.tier,
+            tier=options.tier or "layer",
             device=options.device,
             processes=options.processes,
             progress=lambda done: progress(part * done),
@@ -107,7 +122,6 @@ def run(options: argparse.Namespace) -> int:
             rest = [each for each in observations if each.track in others]
             held_out = held_out_predictions(fit, camera_fit, others, rest, grid)
     picture = options.picture or options.out.with_suffix(".png")
-    names = [path.name for path in options.sessions]
     title = f"Twin of {design.name}: misfit {100 * fit.misfit:.2f} %"
     draw(fit, picture, title, camera_fit, held_out)
     refused = []
@@ -133,14 +147,74 @@ def run(options: argparse.Namespace) -> int:
     if refused:
         print(f"refused: {'; '.join(refused)}; see {picture}", file=sys.stderr)
         return 1
+    if not options.json:
+        print(picture)
+    return _written(options, fit.sensor if camera_fit is None else camera_fit.sensor)
+
+
+def _without_gauge(options: argparse.Namespace, design: SimulatedSensor) -> int:
+    """Fit by markers alone, write the row, and return the exit code: 1 if it is refused."""
+    from recorder.archive import MarkerArchive
+    from recorder.progress import Progress
+    from recorder.session import Session
+    from sim.twin import (
+        fitted_without_gauge,
+        marked_presses,
+        marker_observations,
+        tracks_of,
+        weighed_press,
+    )
+    from sim.twin.camera import differences
+    from sim.twin.record import lines_without_gauge, summary_without_gauge
+
+    if not options.markers or options.held_out:
+        raise SceneError("--no-gauge: allowed: with --markers, without --held-out")
+    tracks = [t for path in options.sessions for t in tracks_of(Session(path), gauge=False)]
+    observations = marker_observations(tracks, [MarkerArchive(path) for path in options.markers])
+    presses = marked_presses(observations)
+    for number, text in enumerate(options.weight, len(tracks)):
+        presses.append(weighed_press(text, number))
+    checks = [weighed_press(text, len(presses)) for text in options.check_weight]
+    with Progress("twin", sys.stderr) as progress:
+        fit = fitted_without_gauge(
+            presses,
+            design,
+            tier=options.tier or "fem",
+            device=options.device,
+            processes=options.processes,
+            progress=progress,
+        )
+    foretold = [(check, *fit.force_of(check)) for check in checks]
+    if options.json:
+        print(json.dumps(summary_without_gauge(fit, foretold), indent=1))
+    else:
+        print("\n".join(lines_without_gauge(fit, foretold)))
+    off, way = differences(fit.presses, fit.predicted)
+    if 100 * off > options.misfit_markers * way:
+        print(
+            f"refused: markers at rest differ by {off:.2f} px, {100 * off / way:.0f} % of the "
+            f"{way:.2f} px that they moved; allowed: up to {options.misfit_markers:g} % "
+            "(--misfit-markers)",
+            file=sys.stderr,
+        )
+        return 1
+    return _written(options, fit.sensor)
+
+
+def _written(options: argparse.Namespace, twin: SimulatedSensor) -> int:
+    """Write the row of a twin, print where it is, and return the exit code."""
+    from sim.sensors import NAMES
+    from sim.sensors.sensor import ROWS
+    from sim.twin.record import twin_yaml
+
     own = options.sensor not in NAMES
-    extends = os.path.relpath(options.sensor, options.out.parent) if own else f"{design.name}.yaml"
+    extends = os.path.relpath(options.sensor, options.out.parent) if own else f"{twin.name}.yaml"
     assert own or (ROWS / extends).exists()
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    row = twin_yaml(fit.sensor if camera_fit is None else camera_fit.sensor, extends, names)
+    row = twin_yaml(twin, extends, [path.name for path in options.sessions])
     options.out.write_text(row, encoding="utf-8")
     if not options.json:
-        print(f"{options.out}\n{picture}")
+        print(options.out)
         labels = next_command("sim", "labels", "ARCHIVE", sensor="NAME", twin=options.out)
         print(f"labels by it: {labels}")
     return 0

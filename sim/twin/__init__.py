@@ -15,6 +15,11 @@ from sim.twin.camera import held_out_predictions as held_out_predictions
 from sim.twin.fit import Fit as Fit
 from sim.twin.fit import fitted as fitted
 from sim.twin.fit import misfit as misfit
+from sim.twin.gaugeless import GaugelessFit as GaugelessFit
+from sim.twin.gaugeless import MarkedPress as MarkedPress
+from sim.twin.gaugeless import fitted_without_gauge as fitted_without_gauge
+from sim.twin.gaugeless import marked_presses as marked_presses
+from sim.twin.gaugeless import weighed_press as weighed_press
 from sim.twin.markers import MarkerObservations as MarkerObservations
 from sim.twin.markers import marker_observations as marker_observations
 from sim.twin.model import TrackModel as TrackModel

@@ -27,6 +27,7 @@ from sim.sensors import CameraSignal, Posterior, SimulatedSensor, SurfaceField, 
 from sim.sensors.posterior import CAMERA, interval_of
 from sim.sensors.quantities import camera_quantities
 from sim.twin.fit import COARSER, UNIDENTIFIED, Fit, Z, moved_by, way_of
+from sim.twin.gaugeless import MarkedPress
 from sim.twin.markers import MarkerObservations, Masks
 from sim.twin.model import STEPS, TrackModel
 from sim.twin.observations import PressTrack
@@ -125,7 +126,7 @@ def held_out_predictions(
 
 
 def differences(
-    observations: Sequence[MarkerObservations], predictions: Sequence[Array]
+    observations: Sequence[MarkerObservations | MarkedPress], predictions: Sequence[Array]
 ) -> tuple[float, float]:
     """Return the RMS distance of markers from predictions, and their RMS way under presses [px]."""
     pairs = list(zip(observations, predictions, strict=True))

@@ -17,7 +17,7 @@ from recorder.processes import Workers, results
 from sim.arrays import Array
 from sim.errors import PassesThrough, SimulationDiverged
 from sim.fem import FOR_EDGES, Fem, further_settings
-from sim.indenters import Indenter, named
+from sim.indenters import Indenter, Part, named
 from sim.scene import Motion
 from sim.sensors import SimulatedSensor, SurfaceField
 from sim.sensors.posterior import is_log
@@ -48,6 +48,8 @@ FEM = Fem(grading=FOR_EDGES, augmentations=1, tolerance=1e-3, path_tolerance=1e-
 SIGNIFICANT = 0.05
 # Residual of the contact.
 TOLERANCE = 5e-3
+# Width of an indenter without sides, such as a cone [m].
+WIDTH = 7e-3
 # Step of the logarithm of a relaxation time.
 STEP_TIME = 0.05
 
@@ -407,6 +409,29 @@ def leaning(indenter: Indenter, tip: Array, tilt: tuple[float, float]) -> tuple[
     if not any(tilt):
         return indenter, tip.copy()
     return indenter.tilted(-tilt[0], -tilt[1]), tip - np.cross(np.array([*tilt, 0.0]), tip)
+
+
+def printed(indenter: Indenter, size: float) -> Indenter:
+    """Return an indenter whose width, of `WIDTH` if it has none, is greater by `size` [m]."""
+    width = float(np.diff(indenter.bounds[0])[0])
+    scale = 1 + size / (width if np.isfinite(width) else WIDTH)
+    if scale == 1:
+        return indenter
+    return replace(
+        indenter,
+        parts=tuple(_scaled(part, scale) for part in indenter.parts),
+        edge_radius=indenter.edge_radius * scale,
+        narrowest=indenter.narrowest * scale,
+    )
+
+
+def _scaled(part: Part, scale: float) -> Part:
+    angles = {"half_plane": (0, 1), "band": (0, 1), "circle": (), "path": range(2, 10**6, 3)}
+    values = tuple(
+        value if place in angles[part.figure] else value * scale
+        for place, value in enumerate(part.values)
+    )
+    return replace(part, values=values, axis=(part.axis[0] * scale, part.axis[1] * scale))
 
 
 def relaxing(time: Array, elastic: Array, relaxation: float) -> Array:

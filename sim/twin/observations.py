@@ -73,13 +73,14 @@ class PressTrack:
         return np.asarray((self.tip[:, 2] < 0) | (size > 5 * self.noise))
 
 
-def tracks_of(session: Session) -> list[PressTrack]:
-    """Return the tracks of a session, one for each run.
+def tracks_of(session: Session, *, gauge: bool = True) -> list[PressTrack]:
+    """Return the tracks of a session, one for each run; without its gauge forces are 0.
 
     Raises:
         SceneError: It has no gauge, no arm, no contact frame, or no contact.
     """
     force, pose = session.first("force"), session.first("pose")
+    force = force if gauge else pose
     frame = session.attrs.get("contact_frame")
     for name, value in (("stream of kind force", force), ("stream of kind pose", pose)):
         if value is None:
@@ -103,7 +104,7 @@ def tracks_of(session: Session) -> list[PressTrack]:
             np.asarray(1e-9 * (poses.t_ns[at] - origin), float),
             in_frame(np.asarray(frame, float), np.asarray(poses.array("value"))[at]),
             np.asarray(1e-9 * (forces.t_ns[of] - origin), float),
-            np.asarray(forces.array("value"), float)[of][:, :3],
+            np.asarray(forces.array("value"), float)[of][:, :3] * gauge,
             dome_radius=(session.attrs.get("plan") or {}).get("dome_radius"),
         )
         if track is not None:

@@ -16,7 +16,8 @@ from sim.markers import HEIGHT, WIDTH, Pattern
 from sim.sensors import CameraSignal, SimulatedSensor
 from sim.sensors.posterior import is_log
 from sim.twin.camera import CameraFit, HeldOut, differences
-from sim.twin.fit import Fit, misfit
+from sim.twin.fit import Fit, Z, misfit
+from sim.twin.gaugeless import OF_SENSOR, GaugelessFit, MarkedPress
 from sim.twin.markers import MarkerObservations
 from sim.twin.observations import PressTrack
 from sim.twin.plan import PlannedPresses, Planner, cost
@@ -86,8 +87,8 @@ def twin_yaml(sensor: SimulatedSensor, design: str, sessions: Sequence[str]) -> 
         },
     }
     signal = sensor.signal
-    if isinstance(signal, CameraSignal) and signal.layout is not None:
-        content["signal"] = _signal(signal, signal.layout)
+    if isinstance(signal, CameraSignal) and (signal.layout or "scale" in posterior.names):
+        content["signal"] = _signal(signal)
     if sensor.trajectory is None:
         content["trajectory"] = None
     if sensor.force_depth is None:
@@ -95,23 +96,27 @@ def twin_yaml(sensor: SimulatedSensor, design: str, sessions: Sequence[str]) -> 
     return yaml_text(content)
 
 
-def _signal(signal: CameraSignal, layout: Pattern) -> dict[str, Any]:
-    """Return the camera and layout of a row as it is written."""
-    camera = signal.camera()
+def _signal(signal: CameraSignal) -> dict[str, Any]:
+    """Return the camera of a row as it is written, and its layout if it has one."""
+    camera, layout = signal.camera(), signal.layout
+    drawn = {} if layout is None else {"patterns": [layout.name], "layout": _layout(layout)}
     return {
-        "patterns": [layout.name],
-        "layout": {
-            "name": layout.name,
-            "shape": layout.shape,
-            "size_mm": _round(1e3 * layout.size),
-            "angle_deg": _round(math.degrees(layout.angle)),
-            "places_mm": [[round(1e3 * each, 4) for each in centre] for centre in layout.places],
-        },
+        **drawn,
         "scale_mm_per_px": _round(camera.mm_per_px),
         "distance_mm": _round(1e3 * camera.distance),
         "shift_px": [_round(each) for each in camera.shift],
         "rotation_deg": _round(math.degrees(camera.rotation)),
         "tilt_deg": [_round(math.degrees(each)) for each in camera.tilt],
+    }
+
+
+def _layout(layout: Pattern) -> dict[str, Any]:
+    return {
+        "name": layout.name,
+        "shape": layout.shape,
+        "size_mm": _round(1e3 * layout.size),
+        "angle_deg": _round(math.degrees(layout.angle)),
+        "places_mm": [[round(1e3 * each, 4) for each in centre] for centre in layout.places],
     }
 
 
@@ -169,7 +174,51 @@ def lines(
     return report
 
 
-def _marker_line(observations: Sequence[MarkerObservations], places: Sequence[Array]) -> str:
+Foretold = Sequence[tuple[MarkedPress, float, float]]
+
+
+def lines_without_gauge(fit: GaugelessFit, foretold: Foretold) -> list[str]:
+    """Return fitted values with 90 % intervals, errors, and weights that were not fitted.
+
+    Of each weight there is its press, the twin's force [N] and the spread of its logarithm.
+    """
+    report = [f"{'quantity':<12}{'value':>10}  {'90 % interval':<22}"]
+    for name in (*OF_SENSOR, "compliance"):
+        note = "  not told by these presses, the prior's" if name in fit.unidentified else ""
+        if name == "modulus" and not fit.weighed:
+            note = "  no weight (--weight): the prior's, and so is the scale of all forces"
+        report.append(_line(name, fit.values[name], fit.interval(name), note))
+    report.append("relaxation is the design's: markers do not tell it")
+    report.append(
+        f"{len(fit.presses)} presses; {_marker_line(fit.presses, fit.predicted)}; noise "
+        f"{fit.noise[0]:.2f} px, error of the model {100 * fit.noise[1]:.1f} % of the motion"
+    )
+    for press, force, spread in foretold:
+        low, high = (force * math.exp(sign * Z * spread) for sign in (-1, 1))
+        outside = "" if low <= press.weight <= high else ": OUTSIDE, do not trust its forces"
+        report.append(
+            f"{press.name}, not fitted: {press.weight:.3f} N; by the twin {force:.3f} N, 90 % "
+            f"interval {low:.3f} to {high:.3f} N{outside}"
+        )
+    return report
+
+
+def summary_without_gauge(fit: GaugelessFit, foretold: Foretold) -> dict[str, Any]:
+    """Return the result as plain values in SI, for programs; `foretold` as in the lines."""
+    return {
+        "values": dict(fit.values),
+        "intervals_90": {name: list(fit.interval(name)) for name in fit.names},
+        "untold": list(fit.unidentified),
+        "weighed": fit.weighed,
+        "noise_px": fit.noise[0],
+        "model": fit.noise[1],
+        "checks": [[press.weight, force, spread] for press, force, spread in foretold],
+    }
+
+
+def _marker_line(
+    observations: Sequence[MarkerObservations | MarkedPress], places: Sequence[Array]
+) -> str:
     off, way = differences(observations, places)
     return f"markers differ by {off:.2f} px of {way:.2f} px ({100 * off / way:.1f} %)"
 
@@ -211,21 +260,12 @@ def expected_lines(
     change: float,
 ) -> list[str]:
     """Return the sessions of a plan, and the 90 % intervals to expect with and without it."""
-    report = [
-        f"{each.indenter}: depth {' and '.join(f'{1e3 * depth:.3g}' for depth in each.depths)} mm, "
-        f"shear {1e3 * each.plan.shear:.3g} mm, hold {each.hold:.2g} s"
-        for each in planned
-    ]
+    report = [session_line(each) for each in planned]
     columns = {"plan": planned, "sphere, prism": usual}
     report.append(f"{'90 % interval, +-':<20}" + "".join(f"{name:>16}" for name in columns))
     spreads = [planner.expected(each).spreads for each in columns.values()]
     for name in planner.names:
-        factor, unit = SHOWN.get(name.partition("_")[0], (1.0, ""))
-        factor, unit = (100.0, "%") if is_log(name) else (factor, unit)
-        report.append(
-            f"{f'{name} [{unit}]' if unit else name:<20}"
-            + "".join(f"{1.645 * factor * each[name]:>16.3g}" for each in spreads)
-        )
+        report.append(expected_line(name, [each[name] for each in spreads]))
     for label, count in (
         ("presses", lambda part: sum(len(each.plan) for each in part)),
         ("seconds", lambda part: round(sum(each.seconds for each in part))),
@@ -233,6 +273,21 @@ def expected_lines(
     ):
         report.append(f"{label:<20}" + "".join(f"{count(each):>16}" for each in columns.values()))
     return report
+
+
+def session_line(each: PlannedPresses) -> str:
+    """Return the presses of a session in words."""
+    depths = " and ".join(f"{1e3 * depth:.3g}" for depth in each.depths)
+    shear = f"shear {1e3 * each.plan.shear:.3g} mm"
+    return f"{each.indenter}: depth {depths} mm, {shear}, hold {each.hold:.2g} s"
+
+
+def expected_line(name: str, spreads: Sequence[float]) -> str:
+    """Return half of the 90 % intervals of a quantity for some spreads, as a line of a table."""
+    factor, unit = SHOWN.get(name.partition("_")[0], (1.0, ""))
+    factor, unit = (100.0, "%") if is_log(name) else (factor, unit)
+    cells = "".join(f"{Z * factor * spread:>16.3g}" for spread in spreads)
+    return f"{f'{name} [{unit}]' if unit else name:<20}{cells}"
 
 
 def least_friction(tracks: Sequence[PressTrack]) -> float:
