@@ -1,5 +1,6 @@
 """`tactile force`: ways to a sensor's labels are compared, and the chosen one is delivered."""
 
+import hashlib
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -91,12 +92,13 @@ def twin_labels(one: Request) -> Origin:
     return Origin(labels, scale, f"forces of {labels.data[0]}")
 
 
-def carried_labels(carried: Carried, source: str) -> Origin:
+def carried_labels(matched: Carried, source: str) -> Origin:
     """Return the labels that another sensor has at the same places."""
-    forces = carried.forces
-    labels = LabelSource(Relabelling(lambda rows, *_: forces[rows]), (carried.method,))
+    forces = matched.forces
+    digest = hashlib.sha256(forces.tobytes()).hexdigest()
+    labels = LabelSource(Relabelling(lambda rows, *_: forces[rows]), (matched.method, digest))
     text = f"{source}'s labels at the same place"
-    return Origin(labels, carried.scale, text, carried.method, source, carried.factor)
+    return Origin(labels, matched.scale, text, matched.method, source, matched.factor)
 
 
 def labelled_rows(one: Request, labels: LabelSource) -> NDArray[np.int64]:

@@ -170,7 +170,7 @@ def _from_source(request: Request, options: argparse.Namespace) -> tuple[Request
 
     if request.source is None:
         raise LearningError("--source: missing; allowed: another sensor with labels")
-    carried = carry(
+    matched = carry(
         CarryRequest(
             source=request.source,
             target=request.sensor,
@@ -185,7 +185,7 @@ def _from_source(request: Request, options: argparse.Namespace) -> tuple[Request
         lambda line: print(line, flush=True),
     )
     name = request.sensor.name
-    origin = carried_labels(carried, request.source.name)
+    origin = carried_labels(matched, request.source.name)
     return replace(
-        request, sensor=SensorSelection(carried.archive, name, name), source=None
+        request, sensor=SensorSelection(matched.archive, name, name), source=None
     ), origin

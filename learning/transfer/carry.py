@@ -70,7 +70,7 @@ class Carried:
     scale: Scale
     """Knowledge of the factor between them and the true ones."""
     method: str
-    """How they were scaled between the skins, a method of evaluations."""
+    """Scaling between the skins, a method of evaluations."""
     factor: float
     """Assumed factor on them."""
 
