@@ -65,10 +65,9 @@ demo-transfer: $(VENV)/.learning-sim  ## newtons on a simulated sensor without a
 	@out=$(call folder,runs/demo-transfer) && bare="$$out/bare.markers.zarr:bare" && for name in gauge bare; do \
 	  $(TACTILE) sim archive $(BARE)/$$name.yaml $(SMALL) --out "$$out/$$name.markers.zarr" || exit; done && \
 	$(TACTILE) force --sensor "$$bare" --by source --source "$$out/gauge.markers.zarr" \
-	  --ways mean,ridge,cells,kernel --out "$$out/model" && \
-	rm -rf "$$out/weighed" && $(TACTILE) calibrate-force "$$out/model" \
-	  $$($(PY) $(BARE)/weigh.py "$$bare" 200,400) --out "$$out/weighed" && \
-	$(TACTILE) evaluate "$$out/weighed" "$$bare"
+	  --ways mean,ridge,cells,kernel --out "$$out/model" && rm -rf "$$out/weighed" && \
+	$(TACTILE) calibrate-force "$$out/model" $$($(PY) $(BARE)/weigh.py "$$bare" 200,400) \
+	  --out "$$out/weighed" && $(TACTILE) evaluate "$$out/weighed" "$$bare"
 
 demo-twin: $(VENV)/.rig-sim  ## a mock sensor is recorded and its twin identified
 	@$(PY) -m benchmarks twin --only demo --out $(call folder,runs/twin-demo)/twin.md
