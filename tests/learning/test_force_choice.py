@@ -233,6 +233,8 @@ def test_forces_of_a_twin_are_labels_of_a_sensor_without_a_gauge(
         run_module(force, *words, "--by", "source")
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(300)
 def test_another_sensor_s_net_is_a_way_and_begins_one(
     archive: MarkerArchive,
     tmp_path: Path,
