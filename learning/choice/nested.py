@@ -7,7 +7,7 @@ the errors on all folds.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from learning.choice.candidates import Candidate, Frames, without
 from learning.data.presses import Presses
 from learning.errors import LearningError
 from learning.force.intervals import AxisError, fit_errors
+from learning.force.model import AXES
 from learning.metrics import axis_means, r_squared
 from learning.training.run import generator
 from recorder.progress import ReportItems
@@ -43,6 +44,21 @@ class Labelled:
     def codes(self) -> list[int]:
         """Codes of the indenters, in order."""
         return [int(code) for code in np.unique(self.indenter)]
+
+    def require(self, folds: Sequence[Fold]) -> None:
+        """Reject an axis that is constant, or has labels in too few folds to be left out."""
+        for name, forces in zip(AXES, self.forces.T, strict=True):
+            known = np.isfinite(forces)
+            inside = [np.isin(self.indenter[known], sorted(fold)).any() for fold in folds]
+            if known.any() and (
+                np.ptp(forces[known]) == 0 or sum(inside) < min(FEWEST, len(folds))
+            ):
+                raise LearningError(
+                    f"labels: found {name} from {forces[known].min():g} to "
+                    f"{forces[known].max():g} N, under {len(np.unique(self.indenter[known]))} "
+                    f"indenters; allowed: forces that differ, of each axis under {FEWEST} "
+                    "indenters or more, or none of an axis"
+                )
 
     def errors(self, predicted: Floats) -> Floats:
         """Return the mean square error by indenter (k,), over the variance of all labels.
@@ -129,9 +145,10 @@ def choose(
             f"labels: found on {len(codes)} indenters; allowed: two or more, as one is left out "
             "(`tactile train force` trains on one)"
         )
-    if len(codes) < FEWEST:
-        candidates = [each for each in candidates if each.name == USUAL]
     folds = folds_of(codes, seed)
+    labels.require(folds)
+    if len(codes) < FEWEST:
+        candidates = [each for each in candidates if each.name == USUAL] or candidates[:1]
     ways = [each.name for each in candidates]
     left = {frozenset((i,)) for i in range(len(folds))}
     if len(codes) >= FEWEST:
@@ -149,7 +166,9 @@ def choose(
         chosen, inner = name, whole[name]
         if len(codes) >= FEWEST:
             others = {way: _joined(predicted, way, held, index) for way in ways}
-            chosen = simplest(ways, {way: labels.errors(others[way]) for way in ways})
+            # Not even the variance that errors are divided by is of the fold.
+            seen = replace(labels, forces=np.where(inside[:, None], np.nan, labels.forces))
+            chosen = simplest(ways, {way: seen.errors(others[way]) for way in ways})
             inner = others[chosen]
         nested[inside] = predicted[chosen, frozenset((index,))][inside]
         indenters = labels.indenter[~inside].astype(str)

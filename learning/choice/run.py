@@ -19,6 +19,7 @@ from learning.errors import LearningError
 from learning.evaluation.predictions import TARGET
 from learning.force.calibrate import IntervalCalibration, largest, scale_of_twin, shapes
 from learning.force.export import export_onnx
+from learning.force.intervals import FEWEST as FEWEST_ERRORS
 from learning.force.intervals import (
     FEWEST_INDENTERS,
     AxisError,
@@ -32,7 +33,7 @@ from learning.force.labels import TWIN, LabelSource, Relabelling, label_source
 from learning.force.made_for import metadata_of
 from learning.force.model import AXES, KIND, ForceModel
 from learning.metrics import axis_means
-from learning.training.checkpoint import MODEL, Config, code_version, save_weights
+from learning.training.checkpoint import CONFIG, MODEL, Config, code_version, save_weights
 from learning.transfer.carry import Carried
 from learning.transfer.deliver import CARD, CHOICE, calibration_picture, scale_line
 from recorder.archive import archive_fingerprint
@@ -73,8 +74,6 @@ class Origin:
     """Method of evaluations that such a model has."""
     source: str = ""
     """Sensor of the labels, if it is another one."""
-    factor: float = 1.0
-    """Factor on the labels that is assumed."""
 
 
 def own_labels(one: Request, csv: Path | None) -> Origin:
@@ -94,17 +93,22 @@ def twin_labels(one: Request) -> Origin:
 
 def carried_labels(matched: Carried, source: str) -> Origin:
     """Return the labels that another sensor has at the same places."""
-    forces = matched.forces
+    forces = matched.factor * matched.forces
     digest = hashlib.sha256(forces.tobytes()).hexdigest()
     labels = LabelSource(Relabelling(lambda rows, *_: forces[rows]), (matched.method, digest))
     text = f"{source}'s labels at the same place"
-    return Origin(labels, matched.scale, text, matched.method, source, matched.factor)
+    return Origin(labels, matched.scale, text, matched.method, source)
 
 
 def labelled_rows(one: Request, labels: LabelSource) -> NDArray[np.int64]:
     """Return the rows of all presses of usable indenters that have a label (n,)."""
     archive = one.sensor.archive
     table = archive[one.sensor.sensor].table
+    names = archive.indenters
+    if unknown := sorted(set(one.unseen or ()) - set(names)):
+        raise LearningError(f"--unseen: found {', '.join(unknown)}; allowed: {', '.join(names)}")
+    if len(set(names)) < len(names):
+        raise LearningError(f"{archive.name}: found an indenter twice in {', '.join(names)}")
     usable = table["valid"] & (table["location"] >= 0)
     if one.unseen is None:
         usable &= table["seen"]
@@ -136,6 +140,8 @@ def run_choice(one: Request, origin: Origin, say: Say = print) -> Intervals:
     archive, source = one.sensor.archive, origin.labels
     rows = labelled_rows(one, source)
     steps = one.out / STEPS
+    if (one.out / CONFIG).exists() and not (steps / "choice.json").exists():
+        raise LearningError(f"--out: found another model in {one.out}; allowed: a new folder")
     steps.mkdir(parents=True, exist_ok=True)
     data = " ".join([archive_fingerprint(archive), one.sensor.sensor, *source.data])
     require_same(
@@ -167,8 +173,6 @@ def run_choice(one: Request, origin: Origin, say: Say = print) -> Intervals:
     with ItemProgress(f"training {chosen.name}", sys.stderr) as progress:
         progress(0, 1)
         model = chosen.train(frames[chosen.form], one.seed, frozenset())
-    model.low.mul_(origin.factor)
-    model.high.mul_(origin.factor)
     lines = [*lines_of(choice, labels, calibration.intervals, names)]
     card = {"table": table, "lines": lines, "scale": scale_line(origin.scale)}
     settings = chosen.settings(model, one.seed, frames[chosen.form])
@@ -183,7 +187,9 @@ def _ways(one: Request) -> list[Candidate]:
     source = None
     if one.source is not None:
         other = one.source.archive[one.source.sensor]
+        names = np.array(one.source.archive.indenters)[other.table["indenter"]]
         labelled = other.table["valid"] & (other.table["location"] >= 0) & other.table["seen"]
+        labelled &= ~np.isin(names, one.unseen or ())
         with ItemProgress(f"frames of {one.source.sensor}", sys.stderr) as progress:
             loaded = load_presses(
                 other, np.flatnonzero(labelled), device=one.device, form="field", progress=progress
@@ -212,17 +218,24 @@ def _calibrated(
     names = np.array(archive.indenters)[labels.indenter]
     seen = shapes(archive[one.sensor.sensor], presses.rows.numpy())
     known = np.isfinite(labels.forces).any(axis=1)
+    axes = fit_errors(choice.left_out, labels.forces, names)
+    if all(axis is None for axis in axes):
+        raise LearningError(
+            f"labels: found on {known.sum()} frames; allowed: {FEWEST_ERRORS} or more of an axis, "
+            "as intervals need them"
+        )
     intervals = Intervals(
-        axes=fit_errors(choice.left_out, labels.forces, names),
+        axes=axes,
         scale=origin.scale,
         largest=largest(labels.forces),
         learned=_learned(seen, labels.indenter, [fold for fold, _ in choice.by_fold]),
         frames=int(known.sum()),
         indenters=tuple(sorted(set(names.tolist()))),
         errors_from=f"{origin.errors_from}, each indenter left out",
-    ).rescaled(origin.factor, origin.scale)
-    left_out, forces = (origin.factor * each[known] for each in (choice.left_out, labels.forces))
-    return IntervalCalibration(intervals, left_out, forces, names[known])
+    )
+    return IntervalCalibration(
+        intervals, choice.left_out[known], labels.forces[known], names[known]
+    )
 
 
 def _learned(values: Floats, indenter: NDArray[np.int64], folds: list[Fold]) -> LearnedShapes:

@@ -102,6 +102,7 @@ def make_model(options: argparse.Namespace) -> int:
         device=options.device,
     )
     by = options.by or best_of(request, options.labels)
+    _require_used(options, by)
     name = request.sensor.sensor
     print("\n".join(lines_of_way(by) if options.explain else [f"{name}: by {LABELS[by]}"]))
     if options.explain:
@@ -119,7 +120,7 @@ def make_model(options: argparse.Namespace) -> int:
     if by == SOURCE and options.labels is not None:
         out = _scaled(options)
     print(f"{out}: model, ONNX, intervals; {out / 'card.md'}: card")
-    print(f"next: {next_command('live', sensor=name, model=out)}")
+    print(f"next: {next_command('live', model=out, session='SESSION')}, or --sensor of a bench")
     return 0
 
 
@@ -135,6 +136,17 @@ def _scaled(options: argparse.Namespace) -> Path:
     labels = read_labels(options.labels, sensor.archive, sensor.sensor)
     print(scaled_by_labels(options.out, out, labels, sensor.archived))
     return out
+
+
+def _require_used(options: argparse.Namespace, by: str) -> None:
+    """Reject options that the origin of the labels has no use for."""
+    of_source = ("priors", "source_labels", "force_ratio", "scale_within")
+    unused = [name for name in of_source if by != SOURCE and getattr(options, name)]
+    if by == TWIN and options.labels is not None:
+        unused.append("labels")
+    if unused:
+        names = ", ".join(f"--{name.replace('_', '-')}" for name in unused)
+        raise LearningError(f"{names}: found with labels by {by}; allowed: --by source")
 
 
 def best_of(request: Request, labels: Path | None) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from learning.data.splits import SPLIT, Role, training_split
+from learning.data.splits import SPLIT, Role, split_by_indenters, training_split
 from learning.errors import LearningError
 from learning.evaluation.predictions import Predictions, predictions_of
 from learning.metrics import axis_means, by_axis, force_errors
@@ -80,7 +80,10 @@ def predicted(
     target, origin = _origin(metadata, archive, sensor_name)
     sensor = archive[target]
     own = folder / SPLIT
-    split = training_split(archive, split_file or (own if own.is_file() else None))
+    if split_file is None and (choice := metadata.get("choice")):
+        split = split_by_indenters(archive, choice["seen"])
+    else:
+        split = training_split(archive, split_file or (own if own.is_file() else None))
     rows = np.sort(np.concatenate([split.rows(sensor.table, role) for role in roles]))
     if not len(rows):
         raise LearningError(f"--role: found no frames of {','.join(roles)} of {sensor.name}")

@@ -229,6 +229,15 @@ def make_split(
     )
 
 
+def split_by_indenters(archive: MarkerArchive, learned: Collection[str]) -> Split:
+    """Return the split in which all presses of some indenters were learned, and no others."""
+    presses = (
+        PressKey(location, *press, "train" if press[0] in learned else "new_indenter")
+        for location, press in sorted(presses_of(archive).items())
+    )
+    return Split(tuple(presses), (), 0.0, 0.0, 0)
+
+
 def read_split(path: Path) -> Split:
     """Read a split from a file."""
     document = read_json(path)

@@ -55,10 +55,11 @@ def of_archive(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> dict[str, Any
     """Return a model's statement on a sensor in an archive and the rows that it learns."""
     masks = sensor.representation == MASKS
     depth = sensor.table["depth"][rows]
+    pressed = bool((depth > 0).any())
     return {
         "description": str(sensor.attrs.get("description", "")),
         "markers": count_markers(unpack(sensor.references[0])) if masks else 0,
-        "depth_mm": round(1e3 * float(np.nanmax(depth)), 3) if np.isfinite(depth).any() else None,
+        "depth_mm": round(1e3 * float(np.nanmax(depth)), 3) if pressed else None,
     }
 
 

@@ -92,6 +92,11 @@ class TactileModel:
             raise LearningError(
                 f"reference: missing; allowed: model.reference({kind}) without contact, before"
             )
+        if kind == "picture" and values.shape[1:] != self._rest.shape[1:]:
+            raise LearningError(
+                f"frames: found pictures {values.shape[1:]}; allowed: {self._rest.shape[1:]}, as "
+                "the reference"
+            )
         times = 1 if sequence or inputs.alone else HELD
         forces: list[Any] = []
         outside: list[bool] = []

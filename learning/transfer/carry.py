@@ -143,8 +143,13 @@ def _compensated(request: CarryRequest, archive: MarkerArchive, out: Path, say: 
             )
         say(f"no force-depth curve of {', '.join(without)}: labels are not scaled between skins")
         return False
-    if not out.exists():
-        say("\n".join(write_compensation(archive, out, pairs=[(source, target)], curves=curves)))
+    say("\n".join(write_compensation(archive, out, pairs=[(source, target)], curves=curves)))
+    choices = read_stored(out).pairs[0].choices
+    if CHOICE_OF_METHOD[BY_CURVES] not in choices:
+        raise LearningError(
+            f"--priors: the curves of {source} and {target} give no common scale (see "
+            f"{out.with_suffix('.png')}); allowed: other curves, or --force-ratio without any"
+        )
     return True
 
 

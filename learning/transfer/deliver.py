@@ -36,6 +36,8 @@ def learned_indenters(model_folder: Path) -> tuple[str, ...]:
 def scale_line(scale: Scale) -> str:
     """Return the line of a card and of commands about the scale of forces."""
     certainty = "assumed" if scale.assumed else "known"
+    if scale.factor == 1.0:
+        return f"**Scale {certainty}**: {scale.source}"
     return (
         f"**Scale {certainty}**: {scale.source}; at 90 % the true force is within "
         f"1/{scale.factor:.2f} and {scale.factor:.2f} times the predicted one"
@@ -59,7 +61,8 @@ def rescale(
     folder.config.write(new)
     intervals.write(new)
     card = (model_folder / CARD).read_text(encoding="utf-8")
-    replace_file(new / CARD, _SCALE.sub(lambda _: scale_line(intervals.scale), card).encode())
+    line = f"{scale_line(intervals.scale)}. Errors and pictures above are of the model before that."
+    replace_file(new / CARD, _SCALE.sub(lambda _: line, card).encode())
     export_onnx(model, new / "model.onnx")
     save_weights(model, new / f"{MODEL}.safetensors")
     new.rename(out)

@@ -47,6 +47,11 @@ def weigh(
             f"--weights: found {len(weights)}, and {len(predicted)} forces; allowed: one each"
         )
     learned_indenters(model_folder)
+    if intervals.scale.factor == 1.0:
+        raise LearningError(
+            f"{model_folder}: learned from {intervals.errors_from}, whose scale weights cannot "
+            "change; allowed: a model by --by source or --by twin"
+        )
     axis = intervals.axes[2]
     samples = [
         ScaleSample(-weight, force, axis.base + axis.slope * abs(force))

@@ -15,7 +15,7 @@ from support.made_up_archives import made_up_archive, write_twin
 from learning.choice.candidates import candidates_of, with_codes, without
 from learning.choice.evidence import read_evidence
 from learning.choice.nested import Labelled, choose, folds_of, simplest
-from learning.cli import evaluate
+from learning.cli import calibrate_force, evaluate, predict
 from learning.data.presses import Presses
 from learning.errors import LearningError
 from learning.force.closed_form import INPUTS, fit_closed_form, statistics
@@ -168,6 +168,20 @@ def test_codes_of_another_archive_are_those_of_this_one() -> None:
     assert torch.equal(kept.images[-1], presses.images[-1])
 
 
+def test_labels_that_say_nothing_of_a_new_indenter_are_refused() -> None:
+    codes = np.repeat(np.arange(6), 5)
+    forces = np.random.default_rng(0).normal(size=(30, 3))
+    folds = folds_of(range(6), 0)
+    Labelled(forces, codes).require(folds)
+    some = forces.copy()
+    some[codes > 0, 0] = np.nan  # Fx under one indenter
+    with pytest.raises(LearningError, match=r"found Fx from .* under 1 indenters; allowed"):
+        Labelled(some, codes).require(folds)
+    forces[:, 2] = -1.0
+    with pytest.raises(LearningError, match="found Fz from -1 to -1 N"):
+        Labelled(forces, codes).require(folds)
+
+
 @pytest.fixture(scope="module")
 def archive(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
     path = tmp_path_factory.mktemp("choice") / "a.markers.zarr"
@@ -204,8 +218,22 @@ def test_the_command_chooses_delivers_and_says_how_good_it_is(
         run_module(force, *words, "--seed", 1, "--out", out)
     with pytest.raises(LearningError, match="found no frame of an indenter beside"):
         run_module(evaluate, out, f"{archive.path}:dots")
+    # All its indenters were learned: none is new, whatever an archive's split would say.
+    with pytest.raises(LearningError, match="--role: found no frames of new_indenter"):
+        run_module(predict, out, archive.path, "--out", tmp_path / "p.npz")
+    rows = ["--archive", f"{archive.path}:dots", "--rows", 4]
+    with pytest.raises(LearningError, match=r"its own labels, .* whose scale weights cannot"):
+        run_module(calibrate_force, out, "--weights", "1kg", *rows, "--out", tmp_path / "w")
+    with pytest.raises(LearningError, match="--unseen: found bal; allowed: sphere"):
+        run_module(force, *words[:2], "--unseen", "bal", "--out", tmp_path / "b")
+    with pytest.raises(LearningError, match="--force-ratio: found with labels by own"):
+        run_module(force, *words, "--force-ratio", 2, "--out", tmp_path / "b")
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "config.yaml").write_text("")
+    with pytest.raises(LearningError, match="--out: found another model"):
+        run_module(force, *words, "--out", tmp_path / "b")
     with pytest.raises(LearningError, match="--ways: found magic; allowed: mean, ridge"):
-        run_module(force, *words[:2], "--ways", "magic", "--out", tmp_path / "b")
+        run_module(force, *words[:2], "--ways", "magic", "--out", tmp_path / "c")
 
 
 def test_forces_of_a_twin_are_labels_of_a_sensor_without_a_gauge(
