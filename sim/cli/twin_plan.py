@@ -59,7 +59,7 @@ def _with_gauge(options: argparse.Namespace) -> tuple[list[Any], list[str]]:
     from sim.indenters import NAMES
     from sim.sensors import sensor_of
     from sim.twin.plan import Planner, sessions
-    from sim.twin.record import cost_lines, expected_lines
+    from sim.twin.record import expected_lines
 
     planner = Planner(sensor_of(options.sensor), noise=1e-3 * options.noise, grid=options.grid)
     candidates = planner.candidates(options.indenters or NAMES)
@@ -76,19 +76,17 @@ def _with_gauge(options: argparse.Namespace) -> tuple[list[Any], list[str]]:
             file=sys.stderr,
         )
     planned, usual = sessions(chosen), planner.usual()
-    after = {"plan": planner.expected(planned), "sphere, prism": planner.expected(usual)}
-    report = expected_lines(planned, planner.names, after)
-    return planned, report + cost_lines([planned, usual], options.change)
+    return planned, expected_lines(planner, planned, usual, options.change)
 
 
 def _without_gauge(options: argparse.Namespace) -> tuple[list[Any], list[str]]:
     from sim.indenters import NAMES
     from sim.sensors import sensor_of
-    from sim.twin.gaugeless import BEARS, OF_SENSOR, plan_without_gauge
-    from sim.twin.record import expected_lines
+    from sim.twin.gaugeless import BEARS, plan_without_gauge
+    from sim.twin.record import session_line
 
     design = sensor_of(options.sensor)
-    planned, weight, after = plan_without_gauge(design, options.indenters or NAMES)
+    planned, weight = plan_without_gauge(design, options.indenters or NAMES)
     line = "weight: none of the usual ones; the skin is too soft for the lightest"
     if weight is not None:
         line = (
@@ -96,4 +94,4 @@ def _without_gauge(options: argparse.Namespace) -> tuple[list[Any], list[str]]:
             f"{1e3 * weight[2]:.2g} mm deep into {1e-3 * design.body.modulus:.3g} kPa; begin with "
             f"a lighter one, and stop at {100 * BEARS:.0f} % of the thickness"
         )
-    return planned, [*expected_lines(planned, OF_SENSOR, {"plan": after}), line]
+    return planned, [*map(session_line, planned), line]

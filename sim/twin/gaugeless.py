@@ -24,24 +24,14 @@ from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.indenters import indenter_of
 from sim.layer import Layer
-from sim.markers import HEIGHT, WIDTH, Camera
+from sim.markers import Camera
 from sim.result import ContactTier, Result
 from sim.scene import Effects, Scene
 from sim.sensors import Posterior, SimulatedSensor, SurfaceField
 from sim.sensors.posterior import CAMERA, interval_of
 from sim.sensors.quantities import camera_quantities, quantities, with_camera, with_quantities
 from sim.tiers import simulate, simulate_many
-from sim.twin.fit import PRIOR as PRIOR_WITH_GAUGE
-from sim.twin.fit import (
-    UNIDENTIFIED,
-    Uncertainty,
-    Z,
-    moved_along,
-    moved_by,
-    way_of,
-    ways_of,
-    with_effects,
-)
+from sim.twin import fit as gauged
 from sim.twin.markers import LOST, Follower, MarkerObservations, camera_signal
 from sim.twin.model import leaning, motion_of, printed
 from sim.twin.plan import PlannedPresses, planned_presses
@@ -51,7 +41,7 @@ UNMEASURED = "The coverage of this fit's intervals is not yet measured over many
 # Prior spreads, as in `sim.twin.fit`. Names of what is of one mounting of an indenter end in `@`
 # and its number.
 PRIOR = {
-    **PRIOR_WITH_GAUGE,
+    **gauged.PRIOR,
     **{"thickness": 0.3, "poisson": 0.03, "compliance": 7e-6, "turn": 0.026, "height": 30e-6},
     **{"place": 0.3e-3, "size": 0.1e-3, "mesh": 0.5},
     **{"scale": 0.005, "distance": 0.03, "shift": 12.0, "rotation": 0.026},
@@ -67,35 +57,27 @@ OF_SENSOR = ("modulus", *SKIN, *VIEW)
 PLACED = {"place_x": 1e-4, "place_y": 1e-4, "turn": 0.01}
 OWN = {"height": -30e-6, "tilt_x": 0.015, "tilt_y": 0.015, "size": 0.15e-3}
 COSTLY = {"thickness": 0.05, "poisson": -0.01, "friction": 0.15, **OWN}
-CHEAP = {
-    "scale": 0.01,
-    "distance": 0.02,
-    "shift_x": 3.0,
-    "shift_y": 3.0,
-    "rotation": 0.01,
-    **PLACED,
-}
-# Mesh that follows the contact; fineness of a rougher one over it, whose difference is about the
-# error of both; true markers beyond those of the finer one, over that difference, in the middle of
-# the prior; longest step of the tip over the thickness.
-FEM, ROUGHER, MESH = Fem(fineness=0.8, augmentations=1, tolerance=1e-3), 0.7, -0.5
-TRAVEL = 0.05
-# On a CPU the mesh is rougher: a round of seven presses then takes some three minutes of a core.
-FEM_OF_CPU = replace(FEM, fineness=0.65)
-LAYER = Layer(grid=64)
+CHEAP = {**dict(zip(VIEW, (0.01, 0.02, 3.0, 3.0, 0.01), strict=True)), **PLACED}
+# Mesh that follows the contact; on a CPU it is rougher: a round of seven presses then takes some
+# three minutes of a core. Longest step of the tip over the thickness.
+FEM = Fem(fineness=0.8, augmentations=1, tolerance=1e-3)
+FEM_OF_CPU, LAYER, TRAVEL = replace(FEM, fineness=0.65), Layer(grid=64), 0.05
+# Fineness of a rougher mesh over it, whose difference is about the error of both; true markers
+# beyond those of the finer one, over that difference, in the middle of the prior.
+ROUGHER, MESH = 0.7, -0.5
 # Most presses of a fit, deepest one over the thickness, and height from which a tip comes [m].
 PRESSES, DEEPEST, ABOVE = 8, 0.75, 50e-6
-# Relative error of a force by the law, beside that of its mesh.
-LAW = 0.015
 # Most rounds, largest step that ends a fit in spreads of the result, longest step in spreads of the
 # prior, by which a step is shortened that led nowhere, and from which it is given up.
 ROUNDS, SMALL, LONGEST, SHORTER, SHORTEST = 8, 0.3, 2.0, 0.3, 0.1
-# Length over which errors of the model are alike, over the thickness.
-ALIKE = 0.5
+# Relative error of a force by the law, beside that of its mesh; length over which errors of the
+# model are alike, over the thickness.
+LAW, ALIKE = 0.015, 0.5
 # Least noise of a marker [px], least error of the model over the motion, and where both begin.
 LEAST, BEGUN = (0.02, 0.01), (0.3, 0.03)
-# Distance over the median one beyond which a marker is taken for another one.
-WRONG = 10.0
+# Distance over the median one beyond which a marker is taken for another one; part of the largest
+# motion from which a weight rests on the tip.
+WRONG, RESTS = 10.0, 0.8
 # Depths over the thickness, and places [m], at which a weight is looked for.
 DEPTHS, PLACES = np.linspace(0.06, 0.54, 9), np.linspace(-3e-3, 3e-3, 13)
 # Smooth indenters, which have solutions on all skins; depth and way sideways of a plan over the
@@ -103,9 +85,10 @@ DEPTHS, PLACES = np.linspace(0.06, 0.54, 9), np.linspace(-3e-3, 3e-3, 13)
 SMOOTH, PRESSED, SHEARED, HOLD = ("sphere", "sphere_s", "hemisphere"), 0.27, 0.22, 1.0
 # Usual masses [kg], and depth over the thickness up to which a skin bears one.
 MASSES, BEARS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0), 0.35
-# Part of the largest motion from which a weight rests on the tip.
-RESTS = 0.8
 
+Values = Mapping[str, float]
+Pair = tuple[float, float]
+Numerics = Fem | Layer
 Solve = Callable[[Sequence[Scene], Any], Sequence[Any]]
 
 
@@ -152,15 +135,15 @@ class Near(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GaugelessFit(Uncertainty):
+class GaugelessFit(gauged.Uncertainty):
     """Result of a fit without a gauge."""
 
     design: SimulatedSensor
-    values: Mapping[str, float]
+    values: Values
     presses: tuple[MarkedPress, ...]
     predicted: tuple[Array, ...]
     """Markers of the twin at the rests of each press (f, m, 2) [px]."""
-    noise: tuple[float, float]
+    noise: Pair
     """Noise of a marker [px], and error of the model over its motion."""
     rounds: int
     tier: ContactTier
@@ -175,7 +158,7 @@ class GaugelessFit(Uncertainty):
     def unidentified(self) -> tuple[str, ...]:
         """Quantities of sensor and camera that keep their prior's value."""
         spreads = self.spreads
-        return tuple(n for n in OF_SENSOR if spreads[n] > UNIDENTIFIED * _prior(n))
+        return tuple(n for n in OF_SENSOR if spreads[n] > gauged.UNIDENTIFIED * _prior(n))
 
     @property
     def sensor(self) -> SimulatedSensor:
@@ -190,11 +173,11 @@ class GaugelessFit(Uncertainty):
         height = float(np.mean([values[name] for name in arms]))
         return replace(twin, posterior=Posterior.of([*names], covariance, self.tier, height, LAW))
 
-    def interval(self, name: str, z: float = Z) -> tuple[float, float]:
+    def interval(self, name: str, z: float = gauged.Z) -> Pair:
         """Return the interval of a quantity, 90 % by default."""
         return interval_of(name, self.values[name], z * self.spreads[name])
 
-    def force_of(self, press: MarkedPress) -> tuple[float, float]:
+    def force_of(self, press: MarkedPress) -> Pair:
         """Return the force [N] under which markers are as in a press that was not fitted.
 
         With the standard deviation of its logarithm.
@@ -205,7 +188,7 @@ class GaugelessFit(Uncertainty):
         problem.centre |= {name: self.values[name] for name in OF_SENSOR}
         values, near, covariance, *_ = problem.descended()
         (force,), (slope,) = near.forces, near.of_force
-        moved = slope @ ways_of(problem.names, near.values, values)
+        moved = slope @ gauged.ways_of(problem.names, near.values, values)
         newtons = near.values["modulus"] * float(force[-1]) * math.exp(moved)
         return newtons, math.sqrt(slope @ covariance @ slope + LAW**2)
 
@@ -225,20 +208,11 @@ class Problem:
     """
 
     def __init__(
-        self,
-        design: SimulatedSensor,
-        presses: Sequence[MarkedPress],
-        solve: Solve,
-        tier: Fem | Layer,
+        self, design: SimulatedSensor, presses: Sequence[MarkedPress], solve: Solve, tier: Numerics
     ) -> None:
         self._signal, deepest = camera_signal(design), 0.9 * design.body.thickness
-        self._design = replace(
-            design,
-            trajectory=None,
-            force_depth=None,
-            depth_max=deepest,
-            effects=Effects(friction=design.effects.friction),
-        )
+        effects = Effects(friction=design.effects.friction)
+        self._design = replace(with_quantities(design, {}), depth_max=deepest, effects=effects)
         self._solve, self._tier = solve, tier
         mountings = dict.fromkeys(press.mounting for press in presses)
         self.names = (
@@ -253,9 +227,7 @@ class Problem:
         self.precision = np.diag(self._spreads**-2)
         self.presses = [press if press.tip.any() else self._found(press) for press in presses]
 
-    def _scene(
-        self, press: MarkedPress, values: Mapping[str, float], force: Array | float = 0.0
-    ) -> Scene:
+    def _scene(self, press: MarkedPress, values: Values, force: Array | float = 0.0) -> Scene:
         """Return the scene of a press whose mount yields by a force over the modulus (f,)."""
         at = {name: values[press.full(name)] for name in (*PLACED, *OWN)}
         sensor = with_quantities(self._design, {name: values[name] for name in SKIN})
@@ -289,11 +261,7 @@ class Problem:
         return Solution(replace(top, displacement=top.displacement[1:]), force)
 
     def markers(
-        self,
-        press: MarkedPress,
-        solution: Solution,
-        values: Mapping[str, float],
-        solved: Mapping[str, float],
+        self, press: MarkedPress, solution: Solution, values: Values, solved: Values
     ) -> Array:
         """Return the markers at each rest (f, m, 2) [px], where `solved` has another place."""
         body = replace(self._design.body, thickness=values["thickness"])
@@ -322,7 +290,7 @@ class Problem:
         _, x, y, z = min(tried)
         return replace(press, tip=np.array([[x, y, ABOVE], [x, y, z]]))
 
-    def near(self, values: dict[str, float], forces: Sequence[Array]) -> Near:
+    def _near(self, values: dict[str, float], forces: Sequence[Array]) -> Near:
         """Return markers and derivatives at values; the mount yields by forces over the modulus."""
         names, scenes = self.names, []
         for press, force in zip(self.presses, forces, strict=True):
@@ -341,7 +309,7 @@ class Problem:
             for (name, by), there in zip(steps.items(), others, strict=True):
                 if there is not None:
                     moved = _stepped(values, name, by)
-                    way = way_of(name, values, moved)
+                    way = gauged.way_of(name, values, moved)
                     slopes[name] = (self.markers(press, there, moved, values) - markers) / way
                     of_force[name] = math.log(there.force[-1] / solution.force[-1]) / way
             if not press.weight:
@@ -357,7 +325,7 @@ class Problem:
 
     def descended(
         self, progress: Progress = lambda fraction: None
-    ) -> tuple[dict[str, float], Near, Array, tuple[float, float], int]:
+    ) -> tuple[dict[str, float], Near, Array, Pair, int]:
         """Return where the quantities explain the presses best, begun at the prior's centre.
 
         With the candidate that a last step by its derivatives leads from, covariance (p, p), noise
@@ -367,12 +335,12 @@ class Problem:
             SceneError: A tip is nearly through the skin.
             SimulationDiverged: A press has no solution.
         """
-        forces, values, part = self.begun(), self.centre, 1.0
+        forces, values, part = self._begun(), self.centre, 1.0
         errors: Errors | None = None
         for done in range(1, ROUNDS + 1):
             progress(done / (ROUNDS + 1))
             try:
-                near = self.near(values, forces)
+                near = self._near(values, forces)
                 gained = math.inf if errors is None else errors.least - errors.cost(near)
             except SimulationDiverged:
                 if errors is None:
@@ -389,13 +357,13 @@ class Problem:
                 break
             else:
                 part *= SHORTER
-            values = moved_along(self.names, errors.near.values, part * step)
+            values = gauged.moved_along(self.names, errors.near.values, part * step)
         assert errors is not None
         near = errors.near
         self._add_mesh(near)
         errors = Errors(self, near)
         step, covariance = errors.step()
-        values = moved_along(self.names, near.values, step)
+        values = gauged.moved_along(self.names, near.values, step)
         most = min(self._design.depth_max, 0.9 * values["thickness"])
         for press in self.presses:
             depth = values[press.full("height")] - float(press.tip[:, 2].min())
@@ -418,7 +386,7 @@ class Problem:
                 near.slopes[k][..., k - count] = off
                 near.of_force[k][k - count] = math.log(there.force[-1] / near.forces[k][-1])
 
-    def begun(self) -> list[Array]:
+    def _begun(self) -> list[Array]:
         """Return forces over the modulus (f,) at the prior's centre, of a rigid mount."""
         solved = self._solved([self._scene(press, self.centre) for press in self.presses])
         return [_required(*each).force for each in zip(self.presses, solved, strict=True)]
@@ -431,7 +399,7 @@ def _required(press: MarkedPress, solution: Solution | None) -> Solution:
 
 
 def _stepped(values: dict[str, float], name: str, by: float) -> dict[str, float]:
-    return {**values, name: moved_by(name, values, by)}
+    return {**values, name: gauged.moved_by(name, values, by)}
 
 
 class Errors:
@@ -441,9 +409,7 @@ class Errors:
     alike in markers that are near one another. Weights have the error of the law.
     """
 
-    def __init__(
-        self, problem: Problem, near: Near, noise: tuple[float, float] | None = None
-    ) -> None:
+    def __init__(self, problem: Problem, near: Near) -> None:
         self._problem, self.near, self._presses = problem, near, problem.presses
         pairs = zip(self._presses, near.markers, strict=True)
         sizes = [np.linalg.norm(press.observed - markers, axis=-1) for press, markers in pairs]
@@ -457,7 +423,7 @@ class Errors:
                 moved = np.linalg.norm(near.markers[k][rest] - press.undeformed, axis=-1)
                 alike = np.exp(-apart / reach) * np.outer(moved, moved)
                 lengths, axes = np.linalg.eigh(alike[np.ix_(known, known)])
-                self._rests.append((k, rest, known, axes))
+                self._rests.append((k, rest, known, axes.T))
                 variances.append(np.repeat(np.maximum(lengths, 0.0), 2))
         self._alike = np.concatenate(variances)
         self._weights = [k for k, press in enumerate(self._presses) if press.weight > 0]
@@ -467,16 +433,15 @@ class Errors:
         # Noise of the image without contact is common to all rests of a mounting.
         most_rests = np.bincount([self._presses[k].mounting for k, *_ in self._rests]).max()
         self._shared = math.sqrt((most_rests + 1) / 2)
-        self.noise = noise or self._likeliest()
-        self.least = self._squares(self._sure(*self.noise), self._residual, self._offset)
+        self.noise = self._likeliest()
+        self.least = self.cost(near)
 
     def _turned(self, arrays: Sequence[Array]) -> Array:
         """Return values of markers (f, m, 2, ...) of every press along the axes (r, ...)."""
-        parts = []
-        for k, rest, known, axes in self._rests:
-            along = np.tensordot(axes.T, arrays[k][rest][known], 1)
-            parts.append(along.reshape(-1, *along.shape[2:]))
-        return np.concatenate(parts)
+        along = [
+            np.tensordot(turn, arrays[k][rest][known], 1) for k, rest, known, turn in self._rests
+        ]
+        return np.concatenate([each.reshape(-1, *each.shape[2:]) for each in along])
 
     def _off(self, near: Near) -> tuple[Array, Array]:
         """Return residuals (r + w,) of markers [px] and log weights, and the way from the prior."""
@@ -486,7 +451,7 @@ class Errors:
             for k in self._weights
         ]
         residual = np.r_[self._turned([press.observed - each for press, each in pairs]), forces]
-        return residual, ways_of(self._problem.names, self._problem.centre, near.values)
+        return residual, gauged.ways_of(self._problem.names, self._problem.centre, near.values)
 
     def _sure(self, marker: float, model: float) -> Array:
         """Return the inverse variances of residuals (r + w,)."""
@@ -502,21 +467,19 @@ class Errors:
 
     def step(self) -> tuple[Array, Array]:
         """Return the step (p,) to the least cost, and the covariance there (p, p)."""
-        step, covariance, _ = self._least(self._shared * self.noise[0], self.noise[1])
-        return step, covariance
+        return self._least(self._shared * self.noise[0], self.noise[1])[:2]
 
     def _least(self, marker: float, model: float) -> tuple[Array, Array, float]:
         """Return step and covariance, and how unlikely residuals are under a noise (REML)."""
-        sure, precision = self._sure(marker, model), self._problem.precision
-        normal = self._slopes.T @ (sure[:, None] * self._slopes) + precision
+        sure, slopes, precision = self._sure(marker, model), self._slopes, self._problem.precision
+        normal = slopes.T @ (sure[:, None] * slopes) + precision
         covariance = np.linalg.inv(normal)
-        downhill = self._slopes.T @ (sure * self._residual) - precision @ self._offset
-        step = covariance @ downhill
-        left = self._squares(sure, self._residual - self._slopes @ step, self._offset + step)
+        step = covariance @ (slopes.T @ (sure * self._residual) - precision @ self._offset)
+        left = self._squares(sure, self._residual - slopes @ step, self._offset + step)
         return step, covariance, left + np.linalg.slogdet(normal)[1] - np.log(sure).sum()
 
-    def _likeliest(self) -> tuple[float, float]:
-        def errors(logs: Array) -> tuple[float, float]:
+    def _likeliest(self) -> Pair:
+        def errors(logs: Array) -> Pair:
             marker, model = np.maximum(np.exp(logs), LEAST).tolist()
             return marker, model
 
@@ -527,7 +490,7 @@ class Errors:
 
 
 def solved_by(
-    scenes: Sequence[Scene], tier: Fem | Layer, *, device: str, processes: Any = 1
+    scenes: Sequence[Scene], tier: Numerics, *, device: str, processes: Any = 1
 ) -> list[Any]:
     """Return the outcomes of scenes; a GPU solves those of one indenter in one launch."""
     if device == "cpu" or isinstance(tier, Layer):
@@ -569,7 +532,7 @@ def fitted_without_gauge(
         SceneError: There is no press by an arm, one is too deep, or the design has no camera.
         SimulationDiverged: A press has no solution.
     """
-    design, most = with_effects(design), 1e3 * DEEPEST * design.body.thickness
+    design, most = gauged.with_effects(design), 1e3 * DEEPEST * design.body.thickness
     if all(press.weight for press in presses):
         raise SceneError("presses: none by an arm; allowed: at least one at a known place")
     for press in presses:
@@ -651,11 +614,10 @@ def weighed_press(text: str, mounting: int) -> MarkedPress:
 
 def plan_without_gauge(
     design: SimulatedSensor, indenters: Sequence[str]
-) -> tuple[list[PlannedPresses], tuple[str, float, float] | None, Uncertainty]:
-    """Return presses by smooth indenters, a weight, and the uncertainty to expect after both.
+) -> tuple[list[PlannedPresses], tuple[str, float, float] | None]:
+    """Return presses by smooth indenters, and a weight: indenter, mass [kg] and depth [m].
 
-    The weight, an indenter, mass [kg] and depth [m], is the one that presses deepest of those that
-    the skin bears. The design is taken as true, by tier `layer`; its markers are of its pattern.
+    The weight is the one that presses deepest of those that the skin bears, by tier `layer`.
     """
     smooth = [name for name in SMOOTH if name in indenters]
     if not smooth:
@@ -671,32 +633,4 @@ def plan_without_gauge(
         force = -simulate(skin.scene(indenter_of(name), path), LAYER).force[:, 2]
         borne = [mass for mass in MASSES if GRAVITY * mass < force[-1]]
         weights += [(name, mass, float(np.interp(GRAVITY * mass, force, depths))) for mass in borne]
-    weight = max(weights, key=lambda each: each[2], default=None)
-    return planned, weight, _expected(with_effects(design), planned, weight)
-
-
-def _expected(
-    design: SimulatedSensor,
-    planned: Sequence[PlannedPresses],
-    weight: tuple[str, float, float] | None,
-) -> Uncertainty:
-    signal = camera_signal(design)
-    flat = signal.drawn()[0].centres
-    pixels = signal.camera().project(np.column_stack([flat, design.body.heights_at(*flat.T)]))
-    seen = pixels[((pixels > 0) & (pixels < (WIDTH, HEIGHT))).all(axis=1)]
-    due = [
-        (each.indenter, number, [(0.0, -depth), (each.plan.shear, -depth)], 0.0)
-        for number, each in enumerate(planned)
-        for depth in each.depths
-    ]
-    if weight is not None:
-        due.append((weight[0], len(planned), [(0.0, -weight[2])], 1.0))
-    presses = []
-    for name, number, tips, force in due:
-        tip = np.array([(x, 0.0, z) for x, z in [(0.0, 0.0), *tips]])
-        presses.append(MarkedPress(name, name, number, tip, seen, seen[None], force))
-    problem = Problem(design, presses, simulate_many, LAYER)
-    near = problem.near(problem.centre, problem.begun())
-    pairs = zip(presses, near.markers, strict=True)
-    problem.presses = [replace(press, observed=markers) for press, markers in pairs]
-    return Uncertainty(problem.names, Errors(problem, near, BEGUN).step()[1])
+    return planned, max(weights, key=lambda each: each[2], default=None)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,11 +16,11 @@ from sim.markers import HEIGHT, WIDTH
 from sim.sensors import CameraSignal, SimulatedSensor
 from sim.sensors.posterior import is_log
 from sim.twin.camera import CameraFit, HeldOut, differences
-from sim.twin.fit import Fit, Uncertainty, Z, misfit
+from sim.twin.fit import Fit, Z, misfit
 from sim.twin.gaugeless import OF_SENSOR, UNMEASURED, GaugelessFit, MarkedPress
 from sim.twin.markers import MarkerObservations
 from sim.twin.observations import PressTrack
-from sim.twin.plan import PlannedPresses, cost
+from sim.twin.plan import PlannedPresses, Planner, cost
 
 if TYPE_CHECKING:
     from recorder.charts import Axes
@@ -234,37 +234,37 @@ def plan_files(planned: Sequence[PlannedPresses], bench: str) -> dict[str, str]:
 
 
 def expected_lines(
-    planned: Sequence[PlannedPresses], names: Sequence[str], after: Mapping[str, Uncertainty]
+    planner: Planner,
+    planned: Sequence[PlannedPresses],
+    usual: Sequence[PlannedPresses],
+    change: float,
 ) -> list[str]:
-    """Return the sessions of a plan, and the 90 % intervals to expect `after` some presses."""
-    report = [
-        f"{each.indenter}: depth {' and '.join(f'{1e3 * depth:.3g}' for depth in each.depths)} mm, "
-        f"shear {1e3 * each.plan.shear:.3g} mm, hold {each.hold:.2g} s"
-        for each in planned
-    ]
-    report.append(f"{'90 % interval, +-':<20}" + "".join(f"{name:>16}" for name in after))
-    spreads = [each.spreads for each in after.values()]
-    for name in names:
+    """Return the sessions of a plan, and the 90 % intervals to expect with and without it."""
+    report = [session_line(each) for each in planned]
+    columns = {"plan": planned, "sphere, prism": usual}
+    report.append(f"{'90 % interval, +-':<20}" + "".join(f"{name:>16}" for name in columns))
+    spreads = [planner.expected(each).spreads for each in columns.values()]
+    for name in planner.names:
         factor, unit = SHOWN.get(name.partition("_")[0], (1.0, ""))
         factor, unit = (100.0, "%") if is_log(name) else (factor, unit)
         report.append(
             f"{f'{name} [{unit}]' if unit else name:<20}"
             + "".join(f"{1.645 * factor * each[name]:>16.3g}" for each in spreads)
         )
+    for label, count in (
+        ("presses", lambda part: sum(len(each.plan) for each in part)),
+        ("seconds", lambda part: round(sum(each.seconds for each in part))),
+        ("with changes", lambda part: round(cost(part, change))),
+    ):
+        report.append(f"{label:<20}" + "".join(f"{count(each):>16}" for each in columns.values()))
     return report
 
 
-def cost_lines(columns: Sequence[Sequence[PlannedPresses]], change: float) -> list[str]:
-    """Return the number of presses and the time of plans with `change` [s] for each indenter."""
-    counts: dict[str, Callable[[Sequence[PlannedPresses]], int]] = {
-        "presses": lambda part: sum(len(each.plan) for each in part),
-        "seconds": lambda part: round(sum(each.seconds for each in part)),
-        "with changes": lambda part: round(cost(part, change)),
-    }
-    return [
-        f"{label:<20}" + "".join(f"{count(each):>16}" for each in columns)
-        for label, count in counts.items()
-    ]
+def session_line(each: PlannedPresses) -> str:
+    """Return the presses of a session in words."""
+    depths = " and ".join(f"{1e3 * depth:.3g}" for depth in each.depths)
+    shear = f"shear {1e3 * each.plan.shear:.3g} mm"
+    return f"{each.indenter}: depth {depths} mm, {shear}, hold {each.hold:.2g} s"
 
 
 def least_friction(tracks: Sequence[PressTrack]) -> float:
