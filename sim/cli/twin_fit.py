@@ -23,6 +23,8 @@ REFUSED = 5.0
 REFUSED_MARKERS = 25.0
 # Pixels of the fit.
 GRID = 96
+# Twin, result for programs, result in words, and why it is refused.
+_Outcome = tuple[Any, dict[str, Any], list[str], list[str]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,13 +73,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Fit, write row and picture, and return the exit code: 1 if the twin is refused."""
-    from sim.sensors import NAMES
+    from recorder.archive import MarkerArchive
+    from recorder.progress import Progress
+    from sim.sensors import NAMES, sensor_of
     from sim.sensors.sensor import ROWS
     from sim.twin.gaugeless import UNMEASURED
     from sim.twin.record import twin_yaml
 
+    design, archives = sensor_of(options.sensor), [MarkerArchive(path) for path in options.markers]
     fit = _without_gauge if options.no_gauge else _with_gauge
-    twin, content, report, refused = fit(options)
+    with Progress("twin", sys.stderr) as progress:
+        twin, content, report, refused = fit(options, design, archives, progress)
     text = json.dumps({**content, "refused": bool(refused)}, indent=1)
     print(text if options.json else "\n".join(report))
     if refused:
@@ -97,16 +103,12 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _with_gauge(options: argparse.Namespace) -> tuple[Any, dict[str, Any], list[str], list[str]]:
+def _with_gauge(options: argparse.Namespace, design: Any, archives: Any, progress: Any) -> _Outcome:
     """Fit to forces, draw, and return twin, result for programs and in words, and refusals."""
-    from recorder.archive import MarkerArchive
-    from recorder.progress import Progress
     from recorder.session import Session
-    from sim.sensors import sensor_of
     from sim.twin import fitted, fitted_camera, held_out_predictions, marker_observations, tracks_of
     from sim.twin.record import draw, lines, summary
 
-    design = sensor_of(options.sensor)
     if options.weight or options.check_weight:
         raise SceneError("--weight: with a gauge; allowed: with --no-gauge")
     if both := [path.name for path in options.held_out if path in options.sessions]:
@@ -115,32 +117,29 @@ def _with_gauge(options: argparse.Namespace) -> tuple[Any, dict[str, Any], list[
         [track for path in paths for track in tracks_of(Session(path))]
         for paths in (options.sessions, options.held_out)
     )
-    observations = marker_observations(
-        [*tracks, *others], [MarkerArchive(path) for path in options.markers]
-    )
+    observations = marker_observations([*tracks, *others], archives)
     of_fit = [each for each in observations if each.track in tracks]
     if options.markers and not of_fit:
         raise SceneError("--markers: of held-out sessions alone; allowed: of fitted ones as well")
     grid, camera_fit, held_out = options.grid, None, None
-    with Progress("twin", sys.stderr) as progress:
-        part = 0.8 if of_fit else 1.0
-        fit = fitted(
-            tracks,
-            design,
-            grid=grid,
-            tier=options.tier or "layer",
-            device=options.device,
-            processes=options.processes,
-            progress=lambda done: progress(part * done),
+    part = 0.8 if of_fit else 1.0
+    fit = fitted(
+        tracks,
+        design,
+        grid=grid,
+        tier=options.tier or "layer",
+        device=options.device,
+        processes=options.processes,
+        progress=lambda done: progress(part * done),
+    )
+    if of_fit:
+        name = options.out.stem
+        camera_fit = fitted_camera(
+            fit, of_fit, name=name, grid=grid, progress=lambda done: progress(0.8 + 0.2 * done)
         )
-        if of_fit:
-            name = options.out.stem
-            camera_fit = fitted_camera(
-                fit, of_fit, name=name, grid=grid, progress=lambda done: progress(0.8 + 0.2 * done)
-            )
-        if others:
-            rest = [each for each in observations if each.track in others]
-            held_out = held_out_predictions(fit, camera_fit, others, rest, grid)
+    if others:
+        rest = [each for each in observations if each.track in others]
+        held_out = held_out_predictions(fit, camera_fit, others, rest, grid)
     picture = options.picture or options.out.with_suffix(".png")
     title = f"Twin of {design.name}: misfit {100 * fit.misfit:.2f} %"
     draw(fit, picture, title, camera_fit, held_out)
@@ -158,35 +157,34 @@ def _with_gauge(options: argparse.Namespace) -> tuple[Any, dict[str, Any], list[
     return twin, summary(fit, camera_fit, held_out), report, refused
 
 
-def _without_gauge(options: argparse.Namespace) -> tuple[Any, dict[str, Any], list[str], list[str]]:
+def _without_gauge(
+    options: argparse.Namespace, design: Any, archives: Any, progress: Any
+) -> _Outcome:
     """Fit by markers alone, and return as `_with_gauge` does."""
-    from recorder.archive import MarkerArchive
-    from recorder.progress import Progress
     from recorder.session import Session
     from sim import twin
-    from sim.sensors import sensor_of
+    from sim.twin.gaugeless import UNMEASURED
     from sim.twin.record import lines_without_gauge, values_of
 
     if not options.markers or options.held_out:
         raise SceneError("--no-gauge: allowed: with --markers, without --held-out")
     tracks = [t for path in options.sessions for t in twin.tracks_of(Session(path), gauge=False)]
-    archives = [MarkerArchive(path) for path in options.markers]
     presses = twin.marked_presses(twin.marker_observations(tracks, archives))
     weights, checks = (
         [twin.weighed_press(text, number) for number, text in enumerate(texts, len(tracks))]
         for texts in (options.weight, options.check_weight)
     )
-    with Progress("twin", sys.stderr) as progress:
-        fit = twin.fitted_without_gauge(
-            [*presses, *weights],
-            sensor_of(options.sensor),
-            tier=options.tier or "fem",
-            device=options.device,
-            processes=options.processes,
-            progress=progress,
-        )
+    fit = twin.fitted_without_gauge(
+        [*presses, *weights],
+        design,
+        tier=options.tier or "fem",
+        device=options.device,
+        processes=options.processes,
+        progress=progress,
+    )
     foretold = [(check, *fit.force_of(check)) for check in checks]
-    content = values_of(fit) | {"checks": [[check.weight, *rest] for check, *rest in foretold]}
+    checked = [[check.weight, force, spread] for check, force, spread in foretold]
+    content = {**values_of(fit), "checks": checked, "note": UNMEASURED}
     refused = _markers_off(options, fit.presses, fit.predicted)
     return fit.sensor, content, lines_without_gauge(fit, foretold), refused
 

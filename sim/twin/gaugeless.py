@@ -335,7 +335,7 @@ class Problem:
             SceneError: A tip is nearly through the skin.
             SimulationDiverged: A press has no solution.
         """
-        forces, values, part = self._begun(), self.centre, 1.0
+        forces, values, part = self._begun(), dict(self.centre), 1.0
         errors: Errors | None = None
         for done in range(1, ROUNDS + 1):
             progress(done / (ROUNDS + 1))
@@ -368,10 +368,8 @@ class Problem:
         for press in self.presses:
             depth = values[press.full("height")] - float(press.tip[:, 2].min())
             if depth > most:
-                raise SceneError(
-                    f"{press.name}: the fit has the tip {1e3 * depth:.2f} mm deep; allowed: up to "
-                    f"{1e3 * most:.2f} mm, 90 % of the thickness: press less, or lay less weight"
-                )
+                allowed = f"allowed: up to {1e3 * most:.2f} mm: press less, or lay less weight"
+                raise SceneError(f"{press.name}: the tip is {1e3 * depth:.2f} mm deep; {allowed}")
         return values, near, covariance, errors.noise, done
 
     def _add_mesh(self, near: Near) -> None:
@@ -446,10 +444,8 @@ class Errors:
     def _off(self, near: Near) -> tuple[Array, Array]:
         """Return residuals (r + w,) of markers [px] and log weights, and the way from the prior."""
         modulus, pairs = near.values["modulus"], zip(self._presses, near.markers, strict=True)
-        forces = [
-            math.log(self._presses[k].weight / (modulus * near.forces[k][-1]))
-            for k in self._weights
-        ]
+        presses, at = self._presses, self._weights
+        forces = [math.log(presses[k].weight / (modulus * near.forces[k][-1])) for k in at]
         residual = np.r_[self._turned([press.observed - each for press, each in pairs]), forces]
         return residual, gauged.ways_of(self._problem.names, self._problem.centre, near.values)
 
@@ -580,10 +576,8 @@ def weighed_press(text: str, mounting: int) -> MarkedPress:
     """
     form = re.fullmatch(r"\s*(\d*\.?\d+)\s*(g|kg|N)\s*=\s*(.+)", text)
     if form is None or not float(form[1]):
-        raise SceneError(
-            f"weight: {text!r}; allowed: a mass or force above 0 with its unit, g, kg or N, and "
-            "the marker archive of its pictures, such as 200g=weight.markers.zarr"
-        )
+        allowed = "a mass or force above 0 in g, kg or N, and an archive: 200g=weight.markers.zarr"
+        raise SceneError(f"weight: {text!r}; allowed: {allowed}")
     force = float(form[1]) * {"g": 1e-3 * GRAVITY, "kg": GRAVITY, "N": 1.0}[form[2]]
     archive = MarkerArchive(form[3])
     if len(archive) != 1:
@@ -602,8 +596,7 @@ def weighed_press(text: str, mounting: int) -> MarkedPress:
     if found.mean() < LOST or square.max() < 1.0:
         raise SceneError(
             f"{form[3]}: under the weight {100 * found.mean():.0f} % of the markers are found and "
-            f"move by up to {math.sqrt(square.max()):.1f} px; allowed: {100 * LOST:.0f} % or more, "
-            "1 px or more"
+            f"move by up to {math.sqrt(square.max()):.1f} px; allowed: {100 * LOST:.0f} %, 1 px"
         )
     observed = np.full_like(markers, np.nan)
     observed[found] = np.nanmean(seen[np.ix_(resting, found)], axis=0)
