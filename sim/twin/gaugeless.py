@@ -183,7 +183,8 @@ class GaugelessFit(gauged.Uncertainty):
         With the standard deviation of its logarithm.
         """
         unknown = replace(press, weight=math.nan if press.weight else 0.0)
-        problem, count = _problem(self.design, [unknown], self.tier, self.device), len(OF_SENSOR)
+        problem = Problem(self.design, [unknown], *_numerics(self.tier, self.device))
+        count = len(OF_SENSOR)
         problem.precision[:count, :count] = np.linalg.inv(self.covariance[:count, :count])
         problem.centre |= {name: self.values[name] for name in OF_SENSOR}
         values, near, covariance, *_ = problem.descended()
@@ -260,9 +261,7 @@ class Problem:
         force = np.maximum(-result.force[1:, 2], 1e-9) / result.scene.body.modulus
         return Solution(replace(top, displacement=top.displacement[1:]), force)
 
-    def markers(
-        self, press: MarkedPress, solution: Solution, values: Values, solved: Values
-    ) -> Array:
+    def markers(self, press: MarkedPress, there: Solution, values: Values, solved: Values) -> Array:
         """Return the markers at each rest (f, m, 2) [px], where `solved` has another place."""
         body = replace(self._design.body, thickness=values["thickness"])
         scale, distance, column, row, rotation = (values[name] for name in VIEW)
@@ -272,7 +271,7 @@ class Problem:
         *way, angle = (values[press.full(name)] - solved[press.full(name)] for name in PLACED)
         angle += solved[press.full("turn")]
         turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
-        moved = solution.top.at(flat @ turn - np.array(way))
+        moved = there.top.at(flat @ turn - np.array(way))
         moved[..., :2] = moved[..., :2] @ turn.T
         return camera.project(np.column_stack([flat, body.heights_at(*flat.T)]) + moved)
 
@@ -436,16 +435,14 @@ class Errors:
 
     def _turned(self, arrays: Sequence[Array]) -> Array:
         """Return values of markers (f, m, 2, ...) of every press along the axes (r, ...)."""
-        along = [
-            np.tensordot(turn, arrays[k][rest][known], 1) for k, rest, known, turn in self._rests
-        ]
+        along = [np.tensordot(turn, arrays[k][f][known], 1) for k, f, known, turn in self._rests]
         return np.concatenate([each.reshape(-1, *each.shape[2:]) for each in along])
 
     def _off(self, near: Near) -> tuple[Array, Array]:
         """Return residuals (r + w,) of markers [px] and log weights, and the way from the prior."""
-        modulus, pairs = near.values["modulus"], zip(self._presses, near.markers, strict=True)
-        presses, at = self._presses, self._weights
-        forces = [math.log(presses[k].weight / (modulus * near.forces[k][-1])) for k in at]
+        presses, modulus = self._presses, near.values["modulus"]
+        pairs, known = zip(presses, near.markers, strict=True), self._weights
+        forces = [math.log(presses[k].weight / (modulus * near.forces[k][-1])) for k in known]
         residual = np.r_[self._turned([press.observed - each for press, each in pairs]), forces]
         return residual, gauged.ways_of(self._problem.names, self._problem.centre, near.values)
 
@@ -499,16 +496,9 @@ def solved_by(
     return [outcomes[k] for k in range(len(scenes))]
 
 
-def _problem(
-    design: SimulatedSensor,
-    presses: Sequence[MarkedPress],
-    tier: ContactTier,
-    device: str,
-    processes: Any = 1,
-) -> Problem:
+def _numerics(tier: ContactTier, device: str, processes: Any = 1) -> tuple[Solve, Numerics]:
     numerics = LAYER if tier == "layer" else FEM_OF_CPU if device == "cpu" else FEM
-    solve = partial(solved_by, device=device, processes=processes)
-    return Problem(design, presses, solve, numerics)
+    return partial(solved_by, device=device, processes=processes), numerics
 
 
 def fitted_without_gauge(
@@ -538,11 +528,10 @@ def fitted_without_gauge(
                 f"{press.name}: {depth:.3g} mm deep; allowed: up to {most:.3g} mm in {design.name}"
             )
     with several(processes) as workers:
-        problem = _problem(design, presses, tier, device, workers or 1)
+        problem = Problem(design, presses, *_numerics(tier, device, workers or 1))
         values, near, covariance, noise, rounds = problem.descended(progress)
-    given, predicted = tuple(problem.presses), tuple(near.markers)
-    left = noise, rounds, tier, device
-    return GaugelessFit(problem.names, covariance, design, values, given, predicted, *left)
+    result = values, tuple(problem.presses), tuple(near.markers), noise, rounds
+    return GaugelessFit(problem.names, covariance, design, *result, tier, device)
 
 
 def marked_presses(observations: Sequence[MarkerObservations]) -> list[MarkedPress]:
@@ -557,9 +546,8 @@ def marked_presses(observations: Sequence[MarkerObservations]) -> list[MarkedPre
             tips = track.tip[each.rows[own]]
             count = 1 + int(np.linalg.norm(tips[:, :2] - tips[0, :2], axis=1).argmax())
             tip = np.concatenate([[[*tips[0, :2], ABOVE]], tips[:count]])
-            name, seen = f"{track.name}, press {target}", each.observed[own[:count]]
-            press = MarkedPress(name, track.indenter, number, tip, each.undeformed, seen)
-            presses.append(press)
+            press = f"{track.name}, press {target}", track.indenter, number, tip
+            presses.append(MarkedPress(*press, each.undeformed, each.observed[own[:count]]))
     presses.sort(key=lambda press: float(press.tip[:, 2].min()))
     order = [press.mounting for press in presses]
     ranks = [order[:k].count(number) for k, number in enumerate(order)]
