@@ -5,6 +5,8 @@ friction, not on the modulus. A known weight on a tip presses as deep as its mar
 force of the skin there gives the modulus. Errors of the bench are unknowns with priors.
 """
 
+from __future__ import annotations
+
 import math
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -187,11 +189,11 @@ class GaugelessFit(gauged.Uncertainty):
         count = len(OF_SENSOR)
         problem.precision[:count, :count] = np.linalg.inv(self.covariance[:count, :count])
         problem.centre |= {name: self.values[name] for name in OF_SENSOR}
-        values, near, covariance, *_ = problem.descended()
-        (force,), (slope,) = near.forces, near.of_force
+        values, errors, _ = problem.descended()
+        near, (slope,) = errors.near, errors.near.of_force
         moved = slope @ gauged.ways_of(problem.names, near.values, values)
-        newtons = near.values["modulus"] * float(force[-1]) * math.exp(moved)
-        return newtons, math.sqrt(slope @ covariance @ slope + LAW**2)
+        force = near.values["modulus"] * float(near.forces[0][-1]) * math.exp(moved)
+        return force, math.sqrt(slope @ errors.covariance @ slope + LAW**2)
 
 
 def _prior(name: str, laid: Collection[str] = ()) -> float:
@@ -293,8 +295,9 @@ class Problem:
         """Return markers and derivatives at values; the mount yields by forces over the modulus."""
         names, scenes = self.names, []
         for press, force in zip(self.presses, forces, strict=True):
-            stepped = [_stepped(values, press.full(name), by) for name, by in COSTLY.items()]
-            scenes += [self._scene(press, at, force) for at in (values, *stepped)]
+            steps = {press.full(name): by for name, by in COSTLY.items()}
+            stepped = ({name: gauged.moved_by(name, values, by)} for name, by in steps.items())
+            scenes += [self._scene(press, values | at, force) for at in ({}, *stepped)]
         solved, count = self._solved(scenes), 1 + len(COSTLY)
         near = Near(values, [], [], [], [])
         for k, press in enumerate(self.presses):
@@ -307,7 +310,7 @@ class Problem:
             others += [solution] * len(CHEAP)
             for (name, by), there in zip(steps.items(), others, strict=True):
                 if there is not None:
-                    moved = _stepped(values, name, by)
+                    moved = values | {name: gauged.moved_by(name, values, by)}
                     way = gauged.way_of(name, values, moved)
                     slopes[name] = (self.markers(press, there, moved, values) - markers) / way
                     of_force[name] = math.log(there.force[-1] / solution.force[-1]) / way
@@ -322,13 +325,10 @@ class Problem:
             near.of_force.append(np.array([of_force[name] for name in names]))
         return near
 
-    def descended(
-        self, progress: Progress = lambda fraction: None
-    ) -> tuple[dict[str, float], Near, Array, Pair, int]:
+    def descended(self, progress: Progress = lambda done: None) -> tuple[Values, Errors, int]:
         """Return where the quantities explain the presses best, begun at the prior's centre.
 
-        With the candidate that a last step by its derivatives leads from, covariance (p, p), noise
-        as in `GaugelessFit`, and rounds.
+        With the errors at the candidate that a last step leads from, and rounds.
 
         Raises:
             SceneError: A tip is nearly through the skin.
@@ -347,29 +347,26 @@ class Problem:
                 gained = -math.inf
             if errors is None or gained > 0:
                 errors, forces, part = Errors(self, near), near.forces, 1.0
-                step, covariance = errors.step()
-                small = np.abs(step) < SMALL * np.sqrt(np.diag(covariance))
+                small = np.abs(errors.step) < SMALL * np.sqrt(np.diag(errors.covariance))
                 if small[: len(OF_SENSOR)].all() or gained < SMALL:
                     break
-                step = np.clip(step, -LONGEST * self._spreads, LONGEST * self._spreads)
+                step = np.clip(errors.step, -LONGEST * self._spreads, LONGEST * self._spreads)
             elif part < SHORTEST:
                 break
             else:
                 part *= SHORTER
             values = gauged.moved_along(self.names, errors.near.values, part * step)
         assert errors is not None
-        near = errors.near
-        self._add_mesh(near)
-        errors = Errors(self, near)
-        step, covariance = errors.step()
-        values = gauged.moved_along(self.names, near.values, step)
+        self._add_mesh(errors.near)
+        errors = Errors(self, errors.near)
+        values = gauged.moved_along(self.names, errors.near.values, errors.step)
         most = min(self._design.depth_max, 0.9 * values["thickness"])
         for press in self.presses:
             depth = values[press.full("height")] - float(press.tip[:, 2].min())
             if depth > most:
                 allowed = f"allowed: up to {1e3 * most:.2f} mm: press less, or lay less weight"
                 raise SceneError(f"{press.name}: the tip is {1e3 * depth:.2f} mm deep; {allowed}")
-        return values, near, covariance, errors.noise, done
+        return values, errors, done
 
     def _add_mesh(self, near: Near) -> None:
         """Add the derivatives by the error of the mesh, and the middle of its prior."""
@@ -395,13 +392,10 @@ def _required(press: MarkedPress, solution: Solution | None) -> Solution:
     return solution
 
 
-def _stepped(values: dict[str, float], name: str, by: float) -> dict[str, float]:
-    return {**values, name: gauged.moved_by(name, values, by)}
-
-
 class Errors:
     """Residuals of presses along axes in which their errors are independent.
 
+    With the step (p,) to the least cost, and the covariance there (p, p).
     Each marker has a noise of its own. Errors of the model are in proportion to the motion, and
     alike in markers that are near one another. Weights have the error of the law.
     """
@@ -429,8 +423,9 @@ class Errors:
         self._slopes = np.concatenate([self._turned(near.slopes), *forces])
         # Noise of the image without contact is common to all rests of a mounting.
         most_rests = np.bincount([self._presses[k].mounting for k, *_ in self._rests]).max()
-        self._shared = math.sqrt((most_rests + 1) / 2)
+        shared = math.sqrt((most_rests + 1) / 2)
         self.noise = self._likeliest()
+        self.step, self.covariance, _ = self._least(shared * self.noise[0], self.noise[1])
         self.least = self.cost(near)
 
     def _turned(self, arrays: Sequence[Array]) -> Array:
@@ -457,10 +452,6 @@ class Errors:
     def cost(self, near: Near) -> float:
         """Return the squares of residuals, and of the way from the prior, in standard errors."""
         return self._squares(self._sure(*self.noise), *self._off(near))
-
-    def step(self) -> tuple[Array, Array]:
-        """Return the step (p,) to the least cost, and the covariance there (p, p)."""
-        return self._least(self._shared * self.noise[0], self.noise[1])[:2]
 
     def _least(self, marker: float, model: float) -> tuple[Array, Array, float]:
         """Return step and covariance, and how unlikely residuals are under a noise (REML)."""
@@ -529,9 +520,10 @@ def fitted_without_gauge(
             )
     with several(processes) as workers:
         problem = Problem(design, presses, *_numerics(tier, device, workers or 1))
-        values, near, covariance, noise, rounds = problem.descended(progress)
-    result = values, tuple(problem.presses), tuple(near.markers), noise, rounds
-    return GaugelessFit(problem.names, covariance, design, *result, tier, device)
+        values, errors, rounds = problem.descended(progress)
+    names, markers, given = problem.names, tuple(errors.near.markers), tuple(problem.presses)
+    result = names, errors.covariance, design, values, given, markers, errors.noise
+    return GaugelessFit(*result, rounds, tier, device)
 
 
 def marked_presses(observations: Sequence[MarkerObservations]) -> list[MarkedPress]:
