@@ -1,13 +1,11 @@
 """`tactile twin fit`: identify a simulated twin of a sensor from recorded presses."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from recorder.command_line.options import (
     add_device,
@@ -19,15 +17,14 @@ from recorder.command_line.options import (
 )
 from sim.errors import SceneError
 
-if TYPE_CHECKING:
-    from sim.sensors import SimulatedSensor
-
 # Difference of forces at rest above which a twin is refused [%].
 REFUSED = 5.0
 # Difference of markers at rest over their motion from which a twin is refused [%].
 REFUSED_MARKERS = 25.0
 # Pixels of the fit.
 GRID = 96
+# Twin, result for programs, result in words, and why it is refused.
+_Outcome = tuple[Any, dict[str, Any], list[str], list[str]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -78,15 +75,40 @@ def run(options: argparse.Namespace) -> int:
     """Fit, write row and picture, and return the exit code: 1 if the twin is refused."""
     from recorder.archive import MarkerArchive
     from recorder.progress import Progress
+    from sim.sensors import NAMES, sensor_of
+    from sim.sensors.sensor import ROWS
+    from sim.twin.gaugeless import UNMEASURED
+    from sim.twin.record import twin_yaml
+
+    design, archives = sensor_of(options.sensor), [MarkerArchive(path) for path in options.markers]
+    fit = _without_gauge if options.no_gauge else _with_gauge
+    with Progress("twin", sys.stderr) as progress:
+        twin, content, report, refused = fit(options, design, archives, progress)
+    text = json.dumps({**content, "refused": bool(refused)}, indent=1)
+    print(text if options.json else "\n".join(report))
+    if refused:
+        print(f"refused: {'; '.join(refused)}", file=sys.stderr)
+        return 1
+    own = options.sensor not in NAMES
+    extends = os.path.relpath(options.sensor, options.out.parent) if own else f"{twin.name}.yaml"
+    assert own or (ROWS / extends).exists()
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    note = f". {UNMEASURED}" if options.no_gauge else ""
+    row = twin_yaml(twin, extends, [path.name for path in options.sessions], note)
+    options.out.write_text(row, encoding="utf-8")
+    if not options.json:
+        print(options.out)
+        labels = next_command("sim", "labels", "ARCHIVE", sensor="NAME", twin=options.out)
+        print(f"labels by it: {labels}")
+    return 0
+
+
+def _with_gauge(options: argparse.Namespace, design: Any, archives: Any, progress: Any) -> _Outcome:
+    """Fit to forces, draw, and return twin, result for programs and in words, and refusals."""
     from recorder.session import Session
-    from sim.sensors import sensor_of
     from sim.twin import fitted, fitted_camera, held_out_predictions, marker_observations, tracks_of
-    from sim.twin.camera import differences
     from sim.twin.record import draw, lines, summary
 
-    design = sensor_of(options.sensor)
-    if options.no_gauge:
-        return _without_gauge(options, design)
     if options.weight or options.check_weight:
         raise SceneError("--weight: with a gauge; allowed: with --no-gauge")
     if both := [path.name for path in options.held_out if path in options.sessions]:
@@ -95,32 +117,29 @@ def run(options: argparse.Namespace) -> int:
         [track for path in paths for track in tracks_of(Session(path))]
         for paths in (options.sessions, options.held_out)
     )
-    observations = marker_observations(
-        [*tracks, *others], [MarkerArchive(path) for path in options.markers]
-    )
+    observations = marker_observations([*tracks, *others], archives)
     of_fit = [each for each in observations if each.track in tracks]
     if options.markers and not of_fit:
         raise SceneError("--markers: of held-out sessions alone; allowed: of fitted ones as well")
     grid, camera_fit, held_out = options.grid, None, None
-    with Progress("twin", sys.stderr) as progress:
-        part = 0.8 if of_fit else 1.0
-        fit = fitted(
-            tracks,
-            design,
-            grid=grid,
-            tier=options.tier or "layer",
-            device=options.device,
-            processes=options.processes,
-            progress=lambda done: progress(part * done),
+    part = 0.8 if of_fit else 1.0
+    fit = fitted(
+        tracks,
+        design,
+        grid=grid,
+        tier=options.tier or "layer",
+        device=options.device,
+        processes=options.processes,
+        progress=lambda done: progress(part * done),
+    )
+    if of_fit:
+        name = options.out.stem
+        camera_fit = fitted_camera(
+            fit, of_fit, name=name, grid=grid, progress=lambda done: progress(0.8 + 0.2 * done)
         )
-        if of_fit:
-            name = options.out.stem
-            camera_fit = fitted_camera(
-                fit, of_fit, name=name, grid=grid, progress=lambda done: progress(0.8 + 0.2 * done)
-            )
-        if others:
-            rest = [each for each in observations if each.track in others]
-            held_out = held_out_predictions(fit, camera_fit, others, rest, grid)
+    if others:
+        rest = [each for each in observations if each.track in others]
+        held_out = held_out_predictions(fit, camera_fit, others, rest, grid)
     picture = options.picture or options.out.with_suffix(".png")
     title = f"Twin of {design.name}: misfit {100 * fit.misfit:.2f} %"
     draw(fit, picture, title, camera_fit, held_out)
@@ -130,91 +149,54 @@ def run(options: argparse.Namespace) -> int:
             f"forces at rest differ by {100 * fit.misfit:.1f} %; allowed: up to "
             f"{options.misfit:g} % (--misfit)"
         )
+    twin = fit.sensor
     if camera_fit is not None:
-        off, way = differences(camera_fit.observations, camera_fit.predicted)
-        if 100 * off > options.misfit_markers * way:
-            refused.append(
-                f"markers at rest differ by {off:.2f} px, {100 * off / way:.0f} % of the "
-                f"{way:.2f} px that they moved; allowed: up to {options.misfit_markers:g} % "
-                "(--misfit-markers)"
-            )
-    if options.json:
-        print(
-            json.dumps({**summary(fit, camera_fit, held_out), "refused": bool(refused)}, indent=1)
-        )
-    else:
-        print("\n".join(lines(fit, camera_fit, held_out)))
-    if refused:
-        print(f"refused: {'; '.join(refused)}; see {picture}", file=sys.stderr)
-        return 1
-    if not options.json:
-        print(picture)
-    return _written(options, fit.sensor if camera_fit is None else camera_fit.sensor)
+        refused += _markers_off(options, camera_fit.observations, camera_fit.predicted)
+        twin = camera_fit.sensor
+    report = [*lines(fit, camera_fit, held_out), f"picture: {picture}"]
+    return twin, summary(fit, camera_fit, held_out), report, refused
 
 
-def _without_gauge(options: argparse.Namespace, design: SimulatedSensor) -> int:
-    """Fit by markers alone, write the row, and return the exit code: 1 if it is refused."""
-    from recorder.archive import MarkerArchive
-    from recorder.progress import Progress
+def _without_gauge(
+    options: argparse.Namespace, design: Any, archives: Any, progress: Any
+) -> _Outcome:
+    """Fit by markers alone, and return as `_with_gauge` does."""
     from recorder.session import Session
-    from sim.twin import (
-        fitted_without_gauge,
-        marked_presses,
-        marker_observations,
-        tracks_of,
-        weighed_press,
-    )
-    from sim.twin.camera import differences
-    from sim.twin.record import lines_without_gauge, summary_without_gauge
+    from sim import twin
+    from sim.twin.gaugeless import UNMEASURED
+    from sim.twin.record import lines_without_gauge, values_of
 
     if not options.markers or options.held_out:
         raise SceneError("--no-gauge: allowed: with --markers, without --held-out")
-    tracks = [t for path in options.sessions for t in tracks_of(Session(path), gauge=False)]
-    observations = marker_observations(tracks, [MarkerArchive(path) for path in options.markers])
-    presses = marked_presses(observations)
-    for number, text in enumerate(options.weight, len(tracks)):
-        presses.append(weighed_press(text, number))
-    checks = [weighed_press(text, len(presses)) for text in options.check_weight]
-    with Progress("twin", sys.stderr) as progress:
-        fit = fitted_without_gauge(
-            presses,
-            design,
-            tier=options.tier or "fem",
-            device=options.device,
-            processes=options.processes,
-            progress=progress,
-        )
+    tracks = [t for path in options.sessions for t in twin.tracks_of(Session(path), gauge=False)]
+    presses = twin.marked_presses(twin.marker_observations(tracks, archives))
+    weights, checks = (
+        [twin.weighed_press(text, number) for number, text in enumerate(texts, len(tracks))]
+        for texts in (options.weight, options.check_weight)
+    )
+    fit = twin.fitted_without_gauge(
+        [*presses, *weights],
+        design,
+        tier=options.tier or "fem",
+        device=options.device,
+        processes=options.processes,
+        progress=progress,
+    )
     foretold = [(check, *fit.force_of(check)) for check in checks]
-    if options.json:
-        print(json.dumps(summary_without_gauge(fit, foretold), indent=1))
-    else:
-        print("\n".join(lines_without_gauge(fit, foretold)))
-    off, way = differences(fit.presses, fit.predicted)
-    if 100 * off > options.misfit_markers * way:
-        print(
-            f"refused: markers at rest differ by {off:.2f} px, {100 * off / way:.0f} % of the "
-            f"{way:.2f} px that they moved; allowed: up to {options.misfit_markers:g} % "
-            "(--misfit-markers)",
-            file=sys.stderr,
-        )
-        return 1
-    return _written(options, fit.sensor)
+    checked = [[check.weight, force, spread] for check, force, spread in foretold]
+    content = {**values_of(fit), "checks": checked, "note": UNMEASURED}
+    refused = _markers_off(options, fit.presses, fit.predicted)
+    return fit.sensor, content, lines_without_gauge(fit, foretold), refused
 
 
-def _written(options: argparse.Namespace, twin: SimulatedSensor) -> int:
-    """Write the row of a twin, print where it is, and return the exit code."""
-    from sim.sensors import NAMES
-    from sim.sensors.sensor import ROWS
-    from sim.twin.record import twin_yaml
+def _markers_off(options: argparse.Namespace, seen: Any, predicted: Any) -> list[str]:
+    """Return why a twin whose markers differ too much is refused, if it is."""
+    from sim.twin.camera import differences
 
-    own = options.sensor not in NAMES
-    extends = os.path.relpath(options.sensor, options.out.parent) if own else f"{twin.name}.yaml"
-    assert own or (ROWS / extends).exists()
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    row = twin_yaml(twin, extends, [path.name for path in options.sessions])
-    options.out.write_text(row, encoding="utf-8")
-    if not options.json:
-        print(options.out)
-        labels = next_command("sim", "labels", "ARCHIVE", sensor="NAME", twin=options.out)
-        print(f"labels by it: {labels}")
-    return 0
+    off, way = differences(seen, predicted)
+    if 100 * off <= options.misfit_markers * way:
+        return []
+    return [
+        f"markers at rest differ by {off:.2f} px, {100 * off / way:.0f} % of the {way:.2f} px that "
+        f"they moved; allowed: up to {options.misfit_markers:g} % (--misfit-markers)"
+    ]

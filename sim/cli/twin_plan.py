@@ -1,19 +1,13 @@
 """`tactile twin plan`: presses that identify a twin best in the time given."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from recorder.command_line.options import add_grid, add_value, names, next_command, positive
-
-if TYPE_CHECKING:
-    from sim.sensors import SimulatedSensor
-    from sim.twin.plan import PlannedPresses
 
 # Most time at the bench [min], and time to mount an indenter [s].
 MINUTES, CHANGE = 5.0, 60.0
@@ -46,16 +40,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Choose, write the files, print the intervals, and return the exit code."""
+    from sim.twin.record import plan_files
+
+    planned, report = (_without_gauge if options.no_gauge else _with_gauge)(options)
+    bench = options.bench or f"{Path(options.sensor).stem}.yaml"
+    if os.sep in bench or Path(bench).exists():
+        bench = os.path.relpath(bench, options.out)
+    options.out.mkdir(parents=True, exist_ok=True)
+    for name, text in plan_files(planned, bench).items():
+        (options.out / name).write_text(text, encoding="utf-8")
+    print("\n".join(report))
+    print(next_command("campaign", file=options.out / "campaign.yaml", benches=options.out))
+    return 0
+
+
+def _with_gauge(options: argparse.Namespace) -> tuple[list[Any], list[str]]:
     from recorder.progress import Progress
     from sim.indenters import NAMES
     from sim.sensors import sensor_of
     from sim.twin.plan import Planner, sessions
     from sim.twin.record import expected_lines
 
-    design = sensor_of(options.sensor)
-    if options.no_gauge:
-        return _without_gauge(options, design)
-    planner = Planner(design, noise=1e-3 * options.noise, grid=options.grid)
+    planner = Planner(sensor_of(options.sensor), noise=1e-3 * options.noise, grid=options.grid)
     candidates = planner.candidates(options.indenters or NAMES)
     with Progress("plan", sys.stderr) as progress:
         chosen = planner.best(
@@ -70,47 +76,22 @@ def run(options: argparse.Namespace) -> int:
             file=sys.stderr,
         )
     planned, usual = sessions(chosen), planner.usual()
-    _written(options, planned)
-    for line in expected_lines(planner, planned, usual, options.change):
-        print(line)
-    print(next_command("campaign", file=options.out / "campaign.yaml", benches=options.out))
-    return 0
+    return planned, expected_lines(planner, planned, usual, options.change)
 
 
-def _without_gauge(options: argparse.Namespace, design: SimulatedSensor) -> int:
-    """Write presses by smooth indenters, print them with a weight, and return the exit code."""
+def _without_gauge(options: argparse.Namespace) -> tuple[list[Any], list[str]]:
     from sim.indenters import NAMES
-    from sim.twin.gaugeless import BEARS, OF_SENSOR, expected_without_gauge, plan_without_gauge
-    from sim.twin.record import expected_line, session_line
+    from sim.sensors import sensor_of
+    from sim.twin.gaugeless import BEARS, plan_without_gauge
+    from sim.twin.record import session_line
 
+    design = sensor_of(options.sensor)
     planned, weight = plan_without_gauge(design, options.indenters or NAMES)
-    _written(options, planned)
-    for each in planned:
-        print(session_line(each))
-    if weight is None:
-        print("weight: none of the usual ones; the skin is too soft for the lightest")
-    else:
-        print(
+    line = "weight: none of the usual ones; the skin is too soft for the lightest"
+    if weight is not None:
+        line = (
             f"weight: {1e3 * weight[1]:g} g, tip and holder included, on {weight[0]} presses "
             f"{1e3 * weight[2]:.2g} mm deep into {1e-3 * design.body.modulus:.3g} kPa; begin with "
             f"a lighter one, and stop at {100 * BEARS:.0f} % of the thickness"
         )
-    after = None if weight is None else (weight[0], weight[2])
-    spreads = expected_without_gauge(design, planned, after).spreads
-    print("90 % interval, +-")
-    for name in OF_SENSOR:
-        print(expected_line(name, [spreads[name]]))
-    print(next_command("campaign", file=options.out / "campaign.yaml", benches=options.out))
-    return 0
-
-
-def _written(options: argparse.Namespace, planned: list[PlannedPresses]) -> None:
-    """Write the bench files of a plan and its campaign."""
-    from sim.twin.record import plan_files
-
-    bench = options.bench or f"{Path(options.sensor).stem}.yaml"
-    if os.sep in bench or Path(bench).exists():
-        bench = os.path.relpath(bench, options.out)
-    options.out.mkdir(parents=True, exist_ok=True)
-    for name, text in plan_files(planned, bench).items():
-        (options.out / name).write_text(text, encoding="utf-8")
+    return planned, [*map(session_line, planned), line]

@@ -28,7 +28,7 @@ from sim.sensors.posterior import CAMERA, interval_of
 from sim.sensors.quantities import camera_quantities
 from sim.twin.fit import COARSER, UNIDENTIFIED, Fit, Z, moved_by, way_of
 from sim.twin.gaugeless import MarkedPress
-from sim.twin.markers import MarkerObservations, Masks
+from sim.twin.markers import MarkerObservations, Masks, camera_signal
 from sim.twin.model import STEPS, TrackModel
 from sim.twin.observations import PressTrack
 
@@ -70,7 +70,7 @@ class CameraFit:
     @property
     def signal(self) -> CameraSignal:
         """Camera and layout."""
-        return _signal(self.sensor)
+        return camera_signal(self.sensor)
 
     @property
     def values(self) -> dict[str, float]:
@@ -154,7 +154,7 @@ class Scenery:
         changed: Mapping[str, float] | None = None,
     ) -> Self:
         """Return the skin of a fit, with some quantities changed."""
-        pins, values = _signal(fit.design).pins, {**fit.values, **(changed or {})}
+        pins, values = camera_signal(fit.design).pins, {**fit.values, **(changed or {})}
         of_tracks = [list(own) for _, own in groupby(observations, key=lambda each: id(each.track))]
         model = TrackModel(fit.design, [own[0].track for own in of_tracks], grid=grid)
         rows = [np.concatenate([each.rows for each in own]) for own in of_tracks]
@@ -220,7 +220,7 @@ def fitted_camera(
         SimulationDiverged: The contact of a candidate did not converge.
     """
     scenery = Scenery.of(fit, observations, grid)
-    design = _signal(fit.design).camera()
+    design = camera_signal(fit.design).camera()
     best, either = unmirrored(scenery, design)
     # Markers at one point are wrong alike, so that many of them count as one.
     sigma = _rms(best) * math.sqrt(_variance_inflation(best, scenery.points))
@@ -277,7 +277,7 @@ def _with_layout(
     twin: SimulatedSensor, camera: Camera, mask: Masks, name: str
 ) -> tuple[SimulatedSensor, float]:
     """Return a twin with camera and layout, of the shape that overlaps most with an image."""
-    signal, candidates = _signal(twin).mounted(camera), []
+    signal, candidates = camera_signal(twin).mounted(camera), []
     for layout in layouts(mask, camera, twin.body, name):
         if signal.pins is None or layout.shape == "disc":
             own = replace(twin, signal=replace(signal, layout=layout, patterns=(name,)))
@@ -308,12 +308,6 @@ def layouts(mask: Masks, camera: Camera, body: Body, name: str) -> list[Pattern]
         Pattern(name, shape, widths[shape] * size, tuple(map(tuple, centres.tolist()))).within(body)
         for shape in get_args(Shape)
     ]
-
-
-def _signal(sensor: SimulatedSensor) -> CameraSignal:
-    if not isinstance(sensor.signal, CameraSignal):
-        raise SceneError(f"{sensor.name}.signal: taxels; allowed: a camera, or no marker archive")
-    return sensor.signal
 
 
 def _camera(unknowns: Array) -> Camera:

@@ -313,7 +313,7 @@ class FitProblem:
 
     def offset(self, values: Mapping[str, float]) -> Array:
         """Return the distance of values from the prior's centre (p,)."""
-        return _way(self.names, self.centre, values)
+        return ways_of(self.names, self.centre, values)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -365,7 +365,7 @@ def _explanations(
 
 def _alike(names: Sequence[str], one: Explanation, values: Mapping[str, float]) -> bool:
     """True if values are within a small part of the spread of an explanation."""
-    way = _way(names, one.values, values)
+    way = ways_of(names, one.values, values)
     return float(way @ np.linalg.solve(one.covariance, way)) < SMALL**2
 
 
@@ -379,14 +379,13 @@ def _with_mean(
     if len(explanations) < 2:
         return explanations
     best, names = explanations[0], problem.names
-    ways = np.array([_way(names, best.values, each.values) for each in explanations])
-    moved = zip(names, _odds(explanations) @ ways, strict=True)
-    values = {**best.values, **{name: moved_by(name, best.values, by) for name, by in moved}}
+    ways = np.array([ways_of(names, best.values, each.values) for each in explanations])
+    values = moved_along(names, best.values, _odds(explanations) @ ways)
     (mean,) = _explanations(problem, [values], sigma)
     return [mean, *explanations] if mean.cost < best.cost + LITTLE_WORSE else explanations
 
 
-def _way(names: Sequence[str], one: Mapping[str, float], other: Mapping[str, float]) -> Array:
+def ways_of(names: Sequence[str], one: Mapping[str, float], other: Mapping[str, float]) -> Array:
     """Return `way_of` from one's values to the other's (p,)."""
     return np.array([way_of(name, one, other) for name in names])
 
@@ -400,7 +399,7 @@ def _odds(explanations: Sequence[Explanation]) -> Array:
 
 def _mixed(names: Sequence[str], explanations: Sequence[Explanation]) -> Array:
     """Return the covariance (p, p) about the first explanation, each as likely as its cost says."""
-    ways = [_way(names, explanations[0].values, each.values) for each in explanations]
+    ways = [ways_of(names, explanations[0].values, each.values) for each in explanations]
     mixed = np.zeros_like(explanations[0].covariance)
     for weight, each, way in zip(_odds(explanations), explanations, ways, strict=True):
         mixed += weight * (each.covariance + np.outer(way, way))
@@ -448,8 +447,7 @@ def _descended(
             step = _step(names, values, normal + damping * np.diag(np.diag(normal)), slope)
             longest = max(abs(each) for name, each in zip(names, step, strict=True) if is_log(name))
             step *= min(1.0, STEP / longest)
-            stepped = zip(names, step, strict=True)
-            moved = {**values, **{name: moved_by(name, values, by) for name, by in stepped}}
+            moved = moved_along(names, values, step)
             trial, _ = _stacked(data, model.readings(moved), sigma)
             gained = cost - _cost(trial, problem.offset(moved) / prior)
             better = gained > 0
@@ -674,6 +672,12 @@ def _coordinate(name: str, values: Mapping[str, float]) -> float:
 def way_of(name: str, values: Mapping[str, float], moved: Mapping[str, float]) -> float:
     """Return the way of a quantity, or of its logarithm, from some values to others."""
     return _coordinate(name, moved) - _coordinate(name, values)
+
+
+def moved_along(names: Sequence[str], values: Mapping[str, float], step: Array) -> dict[str, float]:
+    """Return values after a step (p,) of some quantities, each as in `moved_by`."""
+    steps = zip(names, step, strict=True)
+    return {**values, **{name: moved_by(name, values, by) for name, by in steps}}
 
 
 def moved_by(name: str, values: Mapping[str, float], step: float) -> float:

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from recorder.archive import ArchivedSensor, MarkerArchive
 from recorder.markers import find_blobs, smallest_marker, unpack
 from sim.arrays import Array
 from sim.errors import SceneError
+from sim.sensors import CameraSignal, SimulatedSensor
 from sim.twin.observations import PressTrack
 
 Masks = NDArray[np.bool_]
@@ -98,14 +99,7 @@ def _observations(
     reference = sensor.table["reference"][rows[nearest]]
     for number in np.unique(reference[ends & fresh]):
         mask = unpack(sensor.references[number])
-        blobs = find_blobs(mask[None], smallest_marker(mask))
-        markers = blobs.centre[blobs.whole]
-        if len(markers) < FEWEST:
-            raise SceneError(
-                f"{sensor.path}: {len(markers)} whole markers in reference {number}; allowed: "
-                f"{FEWEST} or more"
-            )
-        follower = Follower(markers, float(np.median(blobs.area)))
+        follower = Follower.of(mask, f"{sensor.path}, reference {number}")
         points, positions = [], []
         for target in np.unique(track.target[ends]):
             follower.restart()
@@ -123,8 +117,15 @@ def _observations(
             )
         if positions:
             yield MarkerObservations(
-                track, np.array(points, np.int64), mask, markers, np.array(positions)
+                track, np.array(points, np.int64), mask, follower.markers, np.array(positions)
             )
+
+
+def camera_signal(sensor: SimulatedSensor) -> CameraSignal:
+    """Return the signal of a sensor that has a camera."""
+    if not isinstance(sensor.signal, CameraSignal):
+        raise SceneError(f"{sensor.name}.signal: taxels; allowed: a camera, or no marker archive")
+    return sensor.signal
 
 
 class Follower:
@@ -134,14 +135,23 @@ class Follower:
     """
 
     def __init__(self, markers: Array, area: float) -> None:
-        self._markers, self._area = markers, area
+        self.markers, self._area = markers, area
         apart, _ = cKDTree(markers).query(markers, k=2)
         self._gate = GATE * float(np.median(apart[:, 1]))
         self.restart()
 
+    @classmethod
+    def of(cls, mask: Masks, name: str) -> Self:
+        """Return one of the whole markers in an image (480, 640) that errors call `name`."""
+        blobs = find_blobs(mask[None], smallest_marker(mask))
+        markers = blobs.centre[blobs.whole]
+        if len(markers) < FEWEST:
+            raise SceneError(f"{name}: {len(markers)} whole markers; allowed: {FEWEST} or more")
+        return cls(markers, float(np.median(blobs.area)))
+
     def restart(self) -> None:
         """Expect the markers where they are without contact."""
-        self._last = self._markers.copy()
+        self._last = self.markers.copy()
 
     def step(self, mask: Masks) -> Array:
         """Return the markers in the next frame (m, 2) [px], NaN where they are not found."""

@@ -17,7 +17,7 @@ from recorder.processes import Workers, results
 from sim.arrays import Array
 from sim.errors import PassesThrough, SimulationDiverged
 from sim.fem import FOR_EDGES, Fem, further_settings
-from sim.indenters import Indenter, Part, named
+from sim.indenters import Indenter, named
 from sim.scene import Motion
 from sim.sensors import SimulatedSensor, SurfaceField
 from sim.sensors.posterior import is_log
@@ -417,21 +417,15 @@ def printed(indenter: Indenter, size: float) -> Indenter:
     scale = 1 + size / (width if np.isfinite(width) else WIDTH)
     if scale == 1:
         return indenter
-    return replace(
-        indenter,
-        parts=tuple(_scaled(part, scale) for part in indenter.parts),
-        edge_radius=indenter.edge_radius * scale,
-        narrowest=indenter.narrowest * scale,
-    )
-
-
-def _scaled(part: Part, scale: float) -> Part:
     angles = {"half_plane": (0, 1), "band": (0, 1), "circle": (), "path": range(2, 10**6, 3)}
-    values = tuple(
-        value if place in angles[part.figure] else value * scale
-        for place, value in enumerate(part.values)
-    )
-    return replace(part, values=values, axis=(part.axis[0] * scale, part.axis[1] * scale))
+    parts = []
+    for part in indenter.parts:
+        kept = angles[part.figure]
+        values = tuple(each if k in kept else each * scale for k, each in enumerate(part.values))
+        axis = part.axis[0] * scale, part.axis[1] * scale
+        parts.append(replace(part, values=values, axis=axis))
+    edge, narrowest = indenter.edge_radius * scale, indenter.narrowest * scale
+    return replace(indenter, parts=tuple(parts), edge_radius=edge, narrowest=narrowest)
 
 
 def relaxing(time: Array, elastic: Array, relaxation: float) -> Array:

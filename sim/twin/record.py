@@ -12,12 +12,12 @@ import numpy as np
 from recorder.charts import BAND, FORCES, INK, RED, SOFT, chart
 from recorder.settings import yaml_text
 from sim.arrays import Array
-from sim.markers import HEIGHT, WIDTH, Pattern
+from sim.markers import HEIGHT, WIDTH
 from sim.sensors import CameraSignal, SimulatedSensor
 from sim.sensors.posterior import is_log
 from sim.twin.camera import CameraFit, HeldOut, differences
 from sim.twin.fit import Fit, Z, misfit
-from sim.twin.gaugeless import OF_SENSOR, GaugelessFit, MarkedPress
+from sim.twin.gaugeless import OF_SENSOR, UNMEASURED, GaugelessFit, MarkedPress
 from sim.twin.markers import MarkerObservations
 from sim.twin.observations import PressTrack
 from sim.twin.plan import PlannedPresses, Planner, cost
@@ -69,13 +69,13 @@ def skin_row(sensor: SimulatedSensor) -> dict[str, Any]:
     }
 
 
-def twin_yaml(sensor: SimulatedSensor, design: str, sessions: Sequence[str]) -> str:
+def twin_yaml(sensor: SimulatedSensor, design: str, sessions: Sequence[str], note: str = "") -> str:
     """Return the row of a twin, which extends the design's file or row `design`."""
     posterior = sensor.posterior
     assert posterior is not None
     content: dict[str, Any] = {
         "extends": design,
-        "description": f"Twin of a sensor, identified from {', '.join(sessions)}",
+        "description": f"Twin of a sensor, identified from {', '.join(sessions)}{note}",
         **skin_row(sensor),
         "posterior": {
             "names": list(posterior.names),
@@ -98,8 +98,12 @@ def twin_yaml(sensor: SimulatedSensor, design: str, sessions: Sequence[str]) -> 
 
 def _signal(signal: CameraSignal) -> dict[str, Any]:
     """Return the camera of a row as it is written, and its layout if it has one."""
-    camera, layout = signal.camera(), signal.layout
-    drawn = {} if layout is None else {"patterns": [layout.name], "layout": _layout(layout)}
+    camera, layout, drawn = signal.camera(), signal.layout, {}
+    if layout is not None:
+        places = [[round(1e3 * each, 4) for each in centre] for centre in layout.places]
+        shape = {"name": layout.name, "shape": layout.shape, "size_mm": _round(1e3 * layout.size)}
+        turned = {"angle_deg": _round(math.degrees(layout.angle)), "places_mm": places}
+        drawn = {"patterns": [layout.name], "layout": shape | turned}
     return {
         **drawn,
         "scale_mm_per_px": _round(camera.mm_per_px),
@@ -107,16 +111,6 @@ def _signal(signal: CameraSignal) -> dict[str, Any]:
         "shift_px": [_round(each) for each in camera.shift],
         "rotation_deg": _round(math.degrees(camera.rotation)),
         "tilt_deg": [_round(math.degrees(each)) for each in camera.tilt],
-    }
-
-
-def _layout(layout: Pattern) -> dict[str, Any]:
-    return {
-        "name": layout.name,
-        "shape": layout.shape,
-        "size_mm": _round(1e3 * layout.size),
-        "angle_deg": _round(math.degrees(layout.angle)),
-        "places_mm": [[round(1e3 * each, 4) for each in centre] for centre in layout.places],
     }
 
 
@@ -174,10 +168,9 @@ def lines(
     return report
 
 
-Foretold = Sequence[tuple[MarkedPress, float, float]]
-
-
-def lines_without_gauge(fit: GaugelessFit, foretold: Foretold) -> list[str]:
+def lines_without_gauge(
+    fit: GaugelessFit, foretold: Sequence[tuple[MarkedPress, float, float]]
+) -> list[str]:
     """Return fitted values with 90 % intervals, errors, and weights that were not fitted.
 
     Of each weight there is its press, the twin's force [N] and the spread of its logarithm.
@@ -188,7 +181,7 @@ def lines_without_gauge(fit: GaugelessFit, foretold: Foretold) -> list[str]:
         if name == "modulus" and not fit.weighed:
             note = "  no weight (--weight): the prior's, and so is the scale of all forces"
         report.append(_line(name, fit.values[name], fit.interval(name), note))
-    report.append("relaxation is the design's: markers do not tell it")
+    report += [UNMEASURED, "relaxation is the design's: markers do not tell it"]
     report.append(
         f"{len(fit.presses)} presses; {_marker_line(fit.presses, fit.predicted)}; noise "
         f"{fit.noise[0]:.2f} px, error of the model {100 * fit.noise[1]:.1f} % of the motion"
@@ -201,19 +194,6 @@ def lines_without_gauge(fit: GaugelessFit, foretold: Foretold) -> list[str]:
             f"interval {low:.3f} to {high:.3f} N{outside}"
         )
     return report
-
-
-def summary_without_gauge(fit: GaugelessFit, foretold: Foretold) -> dict[str, Any]:
-    """Return the result as plain values in SI, for programs; `foretold` as in the lines."""
-    return {
-        "values": dict(fit.values),
-        "intervals_90": {name: list(fit.interval(name)) for name in fit.names},
-        "untold": list(fit.unidentified),
-        "weighed": fit.weighed,
-        "noise_px": fit.noise[0],
-        "model": fit.noise[1],
-        "checks": [[press.weight, force, spread] for press, force, spread in foretold],
-    }
 
 
 def _marker_line(
@@ -265,7 +245,12 @@ def expected_lines(
     report.append(f"{'90 % interval, +-':<20}" + "".join(f"{name:>16}" for name in columns))
     spreads = [planner.expected(each).spreads for each in columns.values()]
     for name in planner.names:
-        report.append(expected_line(name, [each[name] for each in spreads]))
+        factor, unit = SHOWN.get(name.partition("_")[0], (1.0, ""))
+        factor, unit = (100.0, "%") if is_log(name) else (factor, unit)
+        report.append(
+            f"{f'{name} [{unit}]' if unit else name:<20}"
+            + "".join(f"{1.645 * factor * each[name]:>16.3g}" for each in spreads)
+        )
     for label, count in (
         ("presses", lambda part: sum(len(each.plan) for each in part)),
         ("seconds", lambda part: round(sum(each.seconds for each in part))),
@@ -282,14 +267,6 @@ def session_line(each: PlannedPresses) -> str:
     return f"{each.indenter}: depth {depths} mm, {shear}, hold {each.hold:.2g} s"
 
 
-def expected_line(name: str, spreads: Sequence[float]) -> str:
-    """Return half of the 90 % intervals of a quantity for some spreads, as a line of a table."""
-    factor, unit = SHOWN.get(name.partition("_")[0], (1.0, ""))
-    factor, unit = (100.0, "%") if is_log(name) else (factor, unit)
-    cells = "".join(f"{Z * factor * spread:>16.3g}" for spread in spreads)
-    return f"{f'{name} [{unit}]' if unit else name:<20}{cells}"
-
-
 def least_friction(tracks: Sequence[PressTrack]) -> float:
     """Return the largest shear over normal force at rest: friction is at least that."""
     most = 0.0
@@ -300,21 +277,27 @@ def least_friction(tracks: Sequence[PressTrack]) -> float:
     return most
 
 
-def summary(
-    fit: Fit, camera_fit: CameraFit | None = None, held_out: HeldOut | None = None
-) -> dict[str, Any]:
-    """Return the result as plain values in SI, pixels in px, for programs."""
-    content: dict[str, Any] = {
+def values_of(fit: Fit | GaugelessFit) -> dict[str, Any]:
+    """Return what a fit finds as plain values in SI, for programs."""
+    return {
         "values": {name: fit.values[name] for name in fit.names},
         "intervals_90": {name: list(fit.interval(name)) for name in fit.names},
         "spreads": fit.spreads,
         "logarithmic": [name for name in fit.names if is_log(name)],
         "untold": list(fit.unidentified),
+        "rounds": fit.rounds,
+    }
+
+
+def summary(
+    fit: Fit, camera_fit: CameraFit | None = None, held_out: HeldOut | None = None
+) -> dict[str, Any]:
+    """Return the result as plain values in SI, pixels in px, for programs."""
+    content = values_of(fit) | {
         "misfit": fit.misfit,
         "law": fit.law,
         "timing": fit.timing,
         "latency": fit.latency,
-        "rounds": fit.rounds,
     }
     if camera_fit is not None:
         off, way = differences(camera_fit.observations, camera_fit.predicted)
