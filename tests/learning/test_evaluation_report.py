@@ -186,7 +186,7 @@ def test_evaluate_says_what_is_missing(
     (tmp_path / "results/two.npz").write_bytes(cut)
     for place, message in (
         (translated.path, "found none of real frames"),
-        (archive.path, "found sensors dots, grid; allowed: one"),
+        (archive.path, "found archives alone; allowed: results"),
         (tmp_path / "nowhere", "nowhere: found no folder; allowed: results"),
         (tmp_path / "results", r"two\.npz"),
     ):
