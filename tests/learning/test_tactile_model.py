@@ -14,6 +14,7 @@ import pytest
 import torch
 from PIL import Image
 from support.authors_net import SMALL, Theirs
+from support.few import few
 from support.force_models import random_model
 from support.learning_sessions import record
 
@@ -72,7 +73,7 @@ def model(lab: Path, pictures: Array) -> TactileModel:
     return model
 
 
-@pytest.mark.parametrize("form", [*PRESETS, "taxels"])
+@pytest.mark.parametrize("form", few([*PRESETS, "taxels"], 2))
 def test_forces_are_those_of_predict(form: str, lab: Path, tmp_path: Path) -> None:
     chosen = PRESETS.get(form, "uskin")
     folder = random_model(tmp_path / "m", "field" if form == "taxels" else form, chosen)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import simplejpeg
+from support.few import few
 from support.sessions import CONTACT_FRAME, DEPTH, T0, Columns, depth_at, make_session, shear_at
 
 from recorder.checks import plausible
@@ -80,21 +81,30 @@ def test_healthy_sessions_leave_all_witnesses_at_half_of_their_thresholds(tmp_pa
 
 @pytest.mark.parametrize(
     ("code", "edit"),
-    [
-        ("wrong-sign", times(1, 1, -1, 1, 1, 1)),
-        ("wrong-sign", times(*[-1] * 6)),
-        ("impossible", times(*[1e4] * 6)),
-        ("impossible", part(times(*[1e300] * 6))),
-        ("force-step", part(times(*[0.1] * 6))),
-        ("scale", part(times(*[4.448] * 6))),
-        ("depth-force", lambda rows: np.roll(rows["value"], 400, axis=0)),
-        ("force-time", lambda rows: np.roll(rows["value"], 60, axis=0)),
-        ("force-time", lambda rows: np.roll(rows["value"], -150, axis=0)),
-        ("force-time", late_at_last),
-        ("force-step", part(times(*[-1] * 6))),
-        ("held", part(still)),
-        ("torque", lambda rows: np.concatenate([rows["value"][:, :3], rows["value"][:, 2::-1]], 1)),
-    ],
+    few(
+        [
+            pytest.param(*each)
+            for each in (
+                ("wrong-sign", times(1, 1, -1, 1, 1, 1)),
+                ("wrong-sign", times(*[-1] * 6)),
+                ("impossible", times(*[1e4] * 6)),
+                ("impossible", part(times(*[1e300] * 6))),
+                ("force-step", part(times(*[0.1] * 6))),
+                ("scale", part(times(*[4.448] * 6))),
+                ("depth-force", lambda rows: np.roll(rows["value"], 400, axis=0)),
+                ("force-time", lambda rows: np.roll(rows["value"], 60, axis=0)),
+                ("force-time", lambda rows: np.roll(rows["value"], -150, axis=0)),
+                ("force-time", late_at_last),
+                ("force-step", part(times(*[-1] * 6))),
+                ("held", part(still)),
+                (
+                    "torque",
+                    lambda rows: np.concatenate([rows["value"][:, :3], rows["value"][:, 2::-1]], 1),
+                ),
+            )
+        ],
+        6,
+    ),
 )
 def test_a_gauge_that_cannot_be_right_is_named(tmp_path: Path, code: str, edit: Edit) -> None:
     found = warned(edited(tmp_path / "s.zarr", "force", edit))
@@ -136,14 +146,20 @@ def test_a_force_that_stays_where_nothing_is_touched_is_named(tmp_path: Path, le
 
 @pytest.mark.parametrize(
     ("code", "edit"),
-    [
-        ("pose-speed", times(1e3, 1e3, 1e3, 1, 1, 1)),
-        ("pose-speed", part(lambda rows: rows["value"] + np.array([2e-3, 0, 0, 0, 0, 0]))),
-        ("pose-speed", lambda rows: rows["value"] + np.array([0, 0, 0, 57.3, 0, 0])),
-        ("pose-place", still),
-        ("pose-place", part(still)),
-        ("pose-place", lambda rows: rows["value"] + np.array([0, 4e-4, 0, 0, 0, 0])),
-    ],
+    few(
+        [
+            pytest.param(*each)
+            for each in (
+                ("pose-speed", times(1e3, 1e3, 1e3, 1, 1, 1)),
+                ("pose-speed", part(lambda rows: rows["value"] + np.array([2e-3, 0, 0, 0, 0, 0]))),
+                ("pose-speed", lambda rows: rows["value"] + np.array([0, 0, 0, 57.3, 0, 0])),
+                ("pose-place", still),
+                ("pose-place", part(still)),
+                ("pose-place", lambda rows: rows["value"] + np.array([0, 4e-4, 0, 0, 0, 0])),
+            )
+        ],
+        3,
+    ),
 )
 def test_an_arm_that_cannot_be_there_is_named(tmp_path: Path, code: str, edit: Edit) -> None:
     found = warned(edited(tmp_path / "s.zarr", "pose", edit))
@@ -176,16 +192,22 @@ def noisy(images: Any) -> Any:
 
 @pytest.mark.parametrize(
     ("code", "change"),
-    [
-        ("dark", lambda images: images // 8),
-        ("dark", some_of(lambda images: images // 20)),
-        ("still-image", noisy),
-        ("image-time", lambda images: np.roll(images, 24, axis=0)),
-        ("image-jump", some_of(lambda images: 255 - images)),
-        ("turned", some_of(lambda images: images[:, ::-1, ::-1])),
-        ("turned", some_of(lambda images: images[..., ::-1])),
-        ("still-image", lambda x: np.concatenate([x[:206], noisy(x[206:236]), x[236:]])),
-    ],
+    few(
+        [
+            pytest.param(*each)
+            for each in (
+                ("dark", lambda images: images // 8),
+                ("dark", some_of(lambda images: images // 20)),
+                ("still-image", noisy),
+                ("image-time", lambda images: np.roll(images, 24, axis=0)),
+                ("image-jump", some_of(lambda images: 255 - images)),
+                ("turned", some_of(lambda images: images[:, ::-1, ::-1])),
+                ("turned", some_of(lambda images: images[..., ::-1])),
+                ("still-image", lambda x: np.concatenate([x[:206], noisy(x[206:236]), x[236:]])),
+            )
+        ],
+        4,
+    ),
 )
 def test_pictures_that_cannot_be_right_are_named(
     tmp_path: Path, code: str, change: Callable[[Any], Any]
@@ -320,14 +342,20 @@ def at_tip(rows: Columns) -> Any:
 
 @pytest.mark.parametrize(
     ("edit", "known", "unknown"),
-    [
-        (times(*[1] * 6), False, False),
-        (times(1, 1, 1, -1, -1, -1), True, False),
-        (times(1, 1, 1, 4, 4, 4), True, False),
-        (times(4, 1, 1, 1, 1, 1), True, False),
-        (columns(0, 1, 2, 4, 3, 5), True, False),
-        (times(1, 1, 1, 1e3, 1e3, 1e3), True, True),
-    ],
+    few(
+        [
+            pytest.param(*each)
+            for each in (
+                (times(*[1] * 6), False, False),
+                (times(1, 1, 1, -1, -1, -1), True, False),
+                (times(1, 1, 1, 4, 4, 4), True, False),
+                (times(4, 1, 1, 1, 1, 1), True, False),
+                (columns(0, 1, 2, 4, 3, 5), True, False),
+                (times(1, 1, 1, 1e3, 1e3, 1e3), True, True),
+            )
+        ],
+        3,
+    ),
 )
 def test_torques_are_those_of_the_force_at_the_tip(
     tmp_path: Path, edit: Edit, known: bool, unknown: bool
@@ -398,15 +426,30 @@ PLACES = 4.7e-3 * (np.stack(np.mgrid[:4, :4][::-1], axis=-1).reshape(-1, 2) - 1.
 
 @pytest.mark.parametrize(
     ("code", "edit"),
-    [
-        ("", lambda value: value),
-        ("wrong-sign", lambda value: value * [1, 1, -1] + [0, 0, 60_000]),
-        ("turned", lambda value: value * [-1, 1, 1] + [60_000, 0, 0]),
-        ("wrong-sign", lambda value: value[..., [2, 1, 0]]),
-        ("wrong-sign", lambda value: np.concatenate([value[:96], value[96:, :, [2, 1, 0]]])),
-        ("turned", lambda value: value.reshape(-1, 4, 4, 3)[:, :, ::-1].reshape(value.shape)),
-        ("turned", lambda value: value.reshape(-1, 4, 4, 3).swapaxes(1, 2).reshape(value.shape)),
-    ],
+    few(
+        [
+            pytest.param(*each)
+            for each in (
+                ("", lambda value: value),
+                ("wrong-sign", lambda value: value * [1, 1, -1] + [0, 0, 60_000]),
+                ("turned", lambda value: value * [-1, 1, 1] + [60_000, 0, 0]),
+                ("wrong-sign", lambda value: value[..., [2, 1, 0]]),
+                (
+                    "wrong-sign",
+                    lambda value: np.concatenate([value[:96], value[96:, :, [2, 1, 0]]]),
+                ),
+                (
+                    "turned",
+                    lambda value: value.reshape(-1, 4, 4, 3)[:, :, ::-1].reshape(value.shape),
+                ),
+                (
+                    "turned",
+                    lambda value: value.reshape(-1, 4, 4, 3).swapaxes(1, 2).reshape(value.shape),
+                ),
+            )
+        ],
+        3,
+    ),
 )
 def test_axes_and_order_of_taxels_are_told_by_presses(
     tmp_path: Path, code: str, edit: Callable[[Any], Any]
