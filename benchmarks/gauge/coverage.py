@@ -32,7 +32,7 @@ GRAVITY = 9.80665
 WITHIN, GRAMS, SKINS, SEED = 2.0, 200.0, 20, 0
 SOURCE, TARGET = "gauge", "bare"
 FRACTION, PHASE = 0.025, 4
-# Ways of the demo: nets take an hour more.
+# Ways of the demo: nets take much longer.
 WAYS = ("mean", "ridge", "cells", "kernel")
 TOY: dict[str, Any] = {"indenters": ("sphere", "sphere_s", "prism"), "fraction": 0.01, "steps": 2}
 
