@@ -1,11 +1,12 @@
 """Ways from a sensor's frames to its forces, from the simplest to the largest: one row each."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from learning.config import settings_to_dict
 from learning.data.presses import Form, Presses
@@ -32,9 +33,9 @@ class Candidate:
     """Features of a model in closed form."""
     preset: str | None = None
     """Preset of a network."""
-    source: Presses | None = None
-    """Presses of another sensor that the network learns first, whose indenters have the codes of
-    this one's (`with_codes`)."""
+    source: Callable[[], Presses] | None = None
+    """Returns presses of another sensor that the network learns first, whose indenters have the
+    codes of this one's (`with_codes`)."""
     tuned: bool = True
     """True if the network learns the sensor's own presses."""
 
@@ -46,7 +47,7 @@ class Candidate:
         settings = self._settings(seed, presses)
         if self.source is None:
             return train_force(own, settings)
-        model = train_force(without(self.source, without_codes), settings)
+        model = train_force(without(self.source(), without_codes), settings)
         if not self.tuned:
             return model
         stage = replace(settings.stages[-1], learning_rate=0.3 * settings.stages[-1].learning_rate)
@@ -63,10 +64,12 @@ class Candidate:
         return read_force_settings(str(self.preset), (f"seed={seed}", device, *OVER))
 
 
-def candidates_of(sensor: ArchivedSensor, source: Presses | None = None) -> tuple[Candidate, ...]:
+def candidates_of(
+    sensor: ArchivedSensor, other: str = "", source: Callable[[], Presses] | None = None
+) -> tuple[Candidate, ...]:
     """Return the ways for a sensor, the simplest first.
 
-    `source` are labelled marker fields of another sensor, with the indenter codes of this one.
+    `source` returns labelled marker fields of a sensor `other`, with this one's indenter codes.
     """
     masks = sensor.representation == MASKS
     form: Form = "field" if masks else "shading"
@@ -75,25 +78,17 @@ def candidates_of(sensor: ArchivedSensor, source: Presses | None = None) -> tupl
         Candidate("mean", "the mean of the labels", form, "mean"),
         Candidate("ridge", f"ridge regression on 11 statistics of {seen}", form, "statistics"),
         Candidate("cells", f"ridge regression on {seen} in 8 x 8 cells", form, "grid"),
-        Candidate(
-            "kernel",
-            f"{seen} in cells, and likeness to learned frames",
-            form,
-            "kernel",
-        ),
+        Candidate("kernel", f"{seen} in cells, and likeness to learned frames", form, "kernel"),
     ]
     if not masks:
         return *ways, Candidate("net", f"a net on {seen}", form, preset="shading")
     net = Candidate("net", f"a net on {seen}", form, preset="displacement")
     images = Candidate("images", "the paper's net, smaller, on images", "images", preset="tiny")
     if source is not None:
-        about = f"a net on {seen} of {source.sensor}"
-        ways.append(
-            replace(net, name="source", about=f"{about}, as it is", source=source, tuned=False)
-        )
-        ways.append(
-            replace(net, name="tuned", about=f"{about}, tuned on own labels", source=source)
-        )
+        about = f"a net on {seen} of {other}"
+        first = replace(net, source=source)
+        ways.append(replace(first, name="source", about=f"{about}, as it is", tuned=False))
+        ways.append(replace(first, name="tuned", about=f"{about}, tuned on own labels"))
     return *ways, net, images
 
 
@@ -107,18 +102,11 @@ def with_codes(presses: Presses, names: Sequence[str], others: Sequence[str]) ->
     return replace(presses, indenter=torch.tensor(codes, dtype=torch.int64))
 
 
-def without(presses: Presses, indenters: frozenset[int], *, inverted: bool = False) -> Presses:
-    """Return the presses that are not of some indenters, or with `inverted` those that are."""
-    of_them = np.isin(presses.indenter.numpy(), sorted(indenters))
-    kept = torch.from_numpy(of_them if inverted else ~of_them)
-    frames = kept[presses.of_frame]
-    lengths = presses.starts.diff()[kept]
-    on_device = frames.to(presses.device)
-    some: dict[str, Any] = {
-        **{name: getattr(presses, name)[on_device] for name in ("images", "reference", "wrench")},
-        **{name: getattr(presses, name)[kept] for name in ("location", "indenter", "target")},
-        **{name: getattr(presses, name)[frames] for name in ("phase", "depth", "frame", "rows")},
-    }
-    spread = None if presses.spread is None else presses.spread[on_device]
-    starts = torch.cat((lengths.new_zeros(1), lengths.cumsum(0)))
-    return replace(presses, starts=starts, spread=spread, **some)
+def of_indenters(presses: Presses, indenters: frozenset[int]) -> Tensor:
+    """Return True for presses (P,) of some indenters."""
+    return torch.from_numpy(np.isin(presses.indenter.numpy(), sorted(indenters)))
+
+
+def without(presses: Presses, indenters: frozenset[int]) -> Presses:
+    """Return the presses that are not of some indenters."""
+    return presses.only(~of_indenters(presses, indenters))

@@ -10,11 +10,12 @@ from typing import Any
 
 from learning.config import READER
 
-# Words for the origins of labels.
+# Origins of labels, the best first, and words for them.
+OWN, TWIN, SOURCE = "own", "twin", "source"
 LABELS = {
-    "own": "its own labels",
-    "twin": "the forces of its twin",
-    "source": "another sensor's labels",
+    OWN: "its own labels",
+    TWIN: "the forces of its twin",
+    SOURCE: "another sensor's labels",
 }
 FILE = Path(__file__).with_name("evidence.yaml")
 

@@ -6,7 +6,7 @@ indenters that had no part in any choice, training or calibration. The delivered
 the errors on all folds.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.choice.candidates import Candidate, Frames, without
+from learning.choice.candidates import Candidate, Frames, of_indenters
 from learning.data.presses import Presses
 from learning.errors import LearningError
-from learning.force.intervals import AxisError, fit_errors
-from learning.force.model import AXES
-from learning.metrics import axis_means, r_squared
+from learning.force.intervals import AxisError, errors_at, fit_errors
+from learning.force.model import AXES, ForceModel
+from learning.metrics import axis_means, can_be_scored, force_errors, spread_and_range
 from learning.training.run import generator
 from recorder.progress import ReportItems
 
@@ -73,13 +73,12 @@ class Labelled:
 
     def fits(self, predicted: Floats) -> Floats:
         """Return R2 by indenter and axis (k, 3) of predictions (n, 3); NaN without labels."""
+        spread, _ = spread_and_range(self.forces)
         fits = np.full((len(self.codes), 3), np.nan)
         for row, code in enumerate(self.codes):
-            for axis in range(3):
-                both = np.stack([self.forces[:, axis], predicted[:, axis]])
-                true, guess = both[:, (self.indenter == code) & np.isfinite(both).all(axis=0)]
-                if len(true) > 1:
-                    fits[row, axis] = r_squared(true[:, None], guess[:, None])[0]
+            true, guess = (each[self.indenter == code] for each in (self.forces, predicted))
+            if can_be_scored(true, guess):
+                fits[row] = force_errors(true, guess, spread).r2
         return fits
 
 
@@ -198,7 +197,7 @@ def _predictions(
             if not file.exists():
                 presses = frames[way.form]
                 model = way.train(presses, seed, indenters)
-                forces = predict_some(model.predict, presses, indenters)
+                forces = _of_folds(model, presses, indenters)
                 part = file.with_suffix(".part.npy")
                 np.save(part, forces)
                 part.replace(file)
@@ -207,11 +206,10 @@ def _predictions(
     progress(total, total)
 
 
-def predict_some(predict: Callable[[Presses], Floats], presses: Presses, indenters: Fold) -> Floats:
+def _of_folds(model: ForceModel, presses: Presses, indenters: Fold) -> Floats:
     """Return the forces (n, 3) [N] of the presses of some indenters; NaN for others."""
-    forces = np.full((presses.frames, 3), np.nan)
-    inside = np.isin(presses.indenter.numpy(), sorted(indenters))[presses.of_frame.numpy()]
-    forces[inside] = predict(without(presses, indenters, inverted=True))
+    forces, inside = np.full((presses.frames, 3), np.nan), of_indenters(presses, indenters)
+    forces[inside[presses.of_frame].numpy()] = model.predict(presses.only(inside))
     return forces
 
 
@@ -232,11 +230,6 @@ def _joined(
 
 def contained(axes: Sequence[AxisError | None], predicted: Floats, true: Floats) -> Floats:
     """Return 1 where a label (n, 3) is within its interval, 0 where not, NaN without either."""
-    size = np.sqrt(np.nansum(np.square(predicted), axis=1))
-    within = np.full_like(true, np.nan)
-    for axis, error in enumerate(axes):
-        if error is not None:
-            off = np.abs(predicted[:, axis] - true[:, axis])
-            inside = (off <= error.base + error.slope * size).astype(np.float64)
-            within[:, axis] = np.where(np.isfinite(off), inside, np.nan)
-    return within
+    off, error = np.abs(predicted - true), errors_at(axes, predicted)
+    known = np.isfinite(off) & np.isfinite(error)
+    return np.where(known, (off <= error).astype(np.float64), np.nan)

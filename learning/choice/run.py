@@ -1,5 +1,6 @@
 """`tactile force`: ways to a sensor's labels are compared, and the chosen one is delivered."""
 
+import functools
 import hashlib
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -14,11 +15,10 @@ from learning.choice.candidates import Candidate, candidates_of, with_codes
 from learning.choice.nested import FEWEST, Choice, Fold, Labelled, choose, contained
 from learning.config import require_same
 from learning.data.matching import SensorSelection
-from learning.data.presses import Presses, load_presses
+from learning.data.presses import Form, Presses, load_presses
 from learning.errors import LearningError
 from learning.evaluation.predictions import TARGET
 from learning.force.calibrate import IntervalCalibration, largest, scale_of_twin, shapes
-from learning.force.export import export_onnx
 from learning.force.intervals import FEWEST as FEWEST_ERRORS
 from learning.force.intervals import (
     FEWEST_INDENTERS,
@@ -30,12 +30,12 @@ from learning.force.intervals import (
     learned_within,
 )
 from learning.force.labels import TWIN, LabelSource, Relabelling, label_source
-from learning.force.made_for import metadata_of
+from learning.force.made_for import CHOICE, metadata_of
 from learning.force.model import AXES, KIND, ForceModel
 from learning.metrics import axis_means
-from learning.training.checkpoint import CONFIG, MODEL, Config, code_version, save_weights
+from learning.training.checkpoint import CONFIG, MODEL, Config, code_version
 from learning.transfer.carry import Carried
-from learning.transfer.deliver import CARD, CHOICE, calibration_picture, scale_line
+from learning.transfer.deliver import CARD, calibration_picture, scale_line, write_model
 from recorder.archive import archive_fingerprint
 from recorder.pages import render
 from recorder.progress import ItemProgress
@@ -65,7 +65,7 @@ class Request:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Origin:
-    """Labels of the sensor's frames, and what is known of them."""
+    """Labels of the sensor's frames, the scale that they have, and where they come from."""
 
     labels: LabelSource
     scale: Scale
@@ -87,13 +87,13 @@ def twin_labels(one: Request) -> Origin:
     """Return the forces of the sensor's twin as labels."""
     labels = label_source(TWIN, one.sensor.archive, [one.sensor.sensor])
     rows = labelled_rows(one, labels)
-    scale = scale_of_twin(one.sensor.archive[one.sensor.sensor], rows)
+    scale = scale_of_twin(one.sensor.archived, rows)
     return Origin(labels, scale, f"forces of {labels.data[0]}")
 
 
 def carried_labels(matched: Carried, source: str) -> Origin:
     """Return the labels that another sensor has at the same places."""
-    forces = matched.factor * matched.forces
+    forces = matched.forces
     digest = hashlib.sha256(forces.tobytes()).hexdigest()
     labels = LabelSource(Relabelling(lambda rows, *_: forces[rows]), (matched.method, digest))
     text = f"{source}'s labels at the same place"
@@ -102,8 +102,7 @@ def carried_labels(matched: Carried, source: str) -> Origin:
 
 def labelled_rows(one: Request, labels: LabelSource) -> NDArray[np.int64]:
     """Return the rows of all presses of usable indenters that have a label (n,)."""
-    archive = one.sensor.archive
-    table = archive[one.sensor.sensor].table
+    archive, table = one.sensor.archive, one.sensor.archived.table
     names = archive.indenters
     if unknown := sorted(set(one.unseen or ()) - set(names)):
         raise LearningError(f"--unseen: found {', '.join(unknown)}; allowed: {', '.join(names)}")
@@ -113,13 +112,10 @@ def labelled_rows(one: Request, labels: LabelSource) -> NDArray[np.int64]:
     if one.unseen is None:
         usable &= table["seen"]
     else:
-        usable &= ~np.isin(np.array(archive.indenters)[table["indenter"]], one.unseen)
+        usable &= ~np.isin(np.array(names)[table["indenter"]], one.unseen)
     rows = np.flatnonzero(usable)
-    forces = np.asarray(table["wrench"][rows, :3], np.float64)
-    if labels.relabelling is not None:
-        phase = table["phase"][rows].astype(np.int64)
-        depth = np.asarray(table["depth"][rows], np.float64)
-        forces = labels.relabelling.forces(rows, forces, depth, phase)
+    own = labels.relabelling
+    forces = table["wrench"][rows, :3] if own is None else own.at(table, rows)
     pressed = np.unique(table["location"][rows[np.isfinite(forces).any(axis=1)]])
     return rows[np.isin(table["location"][rows], pressed)]
 
@@ -155,7 +151,9 @@ def run_choice(one: Request, origin: Origin, say: Say = print) -> Intervals:
         },
     )
     ways = _ways(one)
-    frames = {form: _frames(one, source, rows, form) for form in {way.form for way in ways}}
+    frames = {
+        form: source.of(_loaded(one, one.sensor, rows, form)) for form in {way.form for way in ways}
+    }
     presses = next(iter(frames.values()))
     labels = Labelled(
         presses.wrench[:, :3].double().cpu().numpy(), presses.indenter[presses.of_frame].numpy()
@@ -183,40 +181,37 @@ def run_choice(one: Request, origin: Origin, say: Say = print) -> Intervals:
 
 
 def _ways(one: Request) -> list[Candidate]:
-    archive, sensor = one.sensor.archive, one.sensor.archive[one.sensor.sensor]
-    source = None
+    ways = candidates_of(one.sensor.archived)
     if one.source is not None:
-        other = one.source.archive[one.source.sensor]
-        names = np.array(one.source.archive.indenters)[other.table["indenter"]]
-        labelled = other.table["valid"] & (other.table["location"] >= 0) & other.table["seen"]
-        labelled &= ~np.isin(names, one.unseen or ())
-        with ItemProgress(f"frames of {one.source.sensor}", sys.stderr) as progress:
-            loaded = load_presses(
-                other, np.flatnonzero(labelled), device=one.device, form="field", progress=progress
-            )
-        source = with_codes(loaded, one.source.archive.indenters, archive.indenters)
-    ways = candidates_of(sensor, source)
+        source = functools.cache(functools.partial(_presses_of_source, one, one.source))
+        ways = candidates_of(one.sensor.archived, one.source.sensor, source)
     known = [way.name for way in ways]
     if unknown := sorted(set(one.ways or ()) - set(known)):
         raise LearningError(f"--ways: found {', '.join(unknown)}; allowed: {', '.join(known)}")
     return [way for way in ways if one.ways is None or way.name in one.ways]
 
 
-def _frames(one: Request, source: LabelSource, rows: NDArray[np.int64], form: Any) -> Presses:
-    with ItemProgress(f"frames as {form}", sys.stderr) as progress:
-        sensor = one.sensor.archive[one.sensor.sensor]
-        return source.of(
-            load_presses(sensor, rows, device=one.device, form=form, progress=progress)
-        )
+def _presses_of_source(one: Request, source: SensorSelection) -> Presses:
+    """Return the labelled marker fields of another sensor, with the indenter codes of this one."""
+    table, names = source.archived.table, source.archive.indenters
+    usable = table["valid"] & (table["location"] >= 0) & table["seen"]
+    usable &= ~np.isin(np.array(names)[table["indenter"]], one.unseen or ())
+    return with_codes(
+        _loaded(one, source, np.flatnonzero(usable), "field"), names, one.sensor.archive.indenters
+    )
+
+
+def _loaded(one: Request, of: SensorSelection, rows: NDArray[np.int64], form: Form) -> Presses:
+    with ItemProgress(f"frames of {of.sensor} as {form}", sys.stderr) as progress:
+        return load_presses(of.archived, rows, device=one.device, form=form, progress=progress)
 
 
 def _calibrated(
     one: Request, origin: Origin, presses: Presses, labels: Labelled, choice: Choice
 ) -> IntervalCalibration:
     """Return the intervals of the chosen way, by its errors on indenters that were left out."""
-    archive = one.sensor.archive
-    names = np.array(archive.indenters)[labels.indenter]
-    seen = shapes(archive[one.sensor.sensor], presses.rows.numpy())
+    names = np.array(one.sensor.archive.indenters)[labels.indenter]
+    seen = shapes(one.sensor.archived, presses.rows.numpy())
     known = np.isfinite(labels.forces).any(axis=1)
     axes = fit_errors(choice.left_out, labels.forces, names)
     if all(axis is None for axis in axes):
@@ -348,18 +343,16 @@ def _write(
     }
     for name in ("model.onnx", f"{MODEL}.safetensors"):
         (out / name).unlink(missing_ok=True)
-    Config(KIND, settings, data, code_version(), metadata, step=0).write(out)
-    calibration.intervals.write(out)
     replace_file(out / PICTURE, calibration_picture(calibration))
-    text = render(
+    text = functools.partial(
+        render,
         Path(__file__).with_name(CARD),
         sensor=one.sensor.sensor,
         way=way,
         intervals=calibration.intervals,
         archive=archive.name,
-        difference=export_onnx(model, out / "model.onnx"),
         seed=one.seed,
         **card,
     )
-    replace_file(out / CARD, text.encode())
-    save_weights(model, out / f"{MODEL}.safetensors")
+    config = Config(KIND, settings, data, code_version(), metadata, step=0)
+    write_model(out, config, model, calibration.intervals, lambda d: text(difference=d))

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from learning.choice.evidence import LABELS, OWN, SOURCE, TWIN, lines_of_way
 from learning.cli.archive_join import add_tolerances, chosen_sensors, only_sensor, tolerances_of
 from learning.errors import LearningError
 from recorder.command_line.options import (
@@ -22,9 +23,7 @@ from recorder.command_line.options import (
 
 if TYPE_CHECKING:
     from learning.choice.run import Origin, Request
-
-# Origins of the labels, the best first.
-OWN, TWIN, SOURCE = "own", "twin", "source"
+    from learning.data.matching import SensorSelection
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +48,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--labels", type=Path, metavar="CSV", help=about)
     add(
         "--by",
-        choices=(OWN, TWIN, SOURCE),
+        choices=tuple(LABELS),
         help="labels to learn from: its own, forces of its twin, or the source's (the first of "
         "these that is there); with twin or source its own are not read",
     )
@@ -87,7 +86,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def make_model(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from learning.choice.evidence import LABELS, lines_of_way
     from learning.choice.run import Request, own_labels, run_choice, twin_labels
 
     if options.scale_within is not None and not 1 < options.scale_within < math.inf:
@@ -103,8 +101,8 @@ def make_model(options: argparse.Namespace) -> int:
     )
     by = options.by or best_of(request, options.labels)
     _require_used(options, by)
-    name = request.sensor.sensor
-    print("\n".join(lines_of_way(by) if options.explain else [f"{name}: by {LABELS[by]}"]))
+    sensor = request.sensor
+    print("\n".join(lines_of_way(by) if options.explain else [f"{sensor.sensor}: by {LABELS[by]}"]))
     if options.explain:
         return 0
     if options.out is None:
@@ -118,23 +116,22 @@ def make_model(options: argparse.Namespace) -> int:
     run_choice(request, origin, lambda line: print(line, flush=True))
     out = options.out
     if by == SOURCE and options.labels is not None:
-        out = _scaled(options)
+        out = _scaled(out, sensor, options.labels)
     print(f"{out}: model, ONNX, intervals; {out / 'card.md'}: card")
     print(f"next: {next_command('live', model=out, session='SESSION')}, or --sensor of a bench")
     return 0
 
 
-def _scaled(options: argparse.Namespace) -> Path:
+def _scaled(model: Path, sensor: SensorSelection, csv: Path) -> Path:
     """Write the model with the scale of a few labels of its sensor; return its folder."""
     from learning.data.labels import read_labels
     from learning.transfer.scale import scaled_by_labels
 
-    out: Path = options.out / "scaled"
+    out = model / "scaled"
     if out.exists():
         shutil.rmtree(out)
-    sensor = only_sensor("--sensor", [*chosen_sensors(options.sensor)])
-    labels = read_labels(options.labels, sensor.archive, sensor.sensor)
-    print(scaled_by_labels(options.out, out, labels, sensor.archived))
+    labels = read_labels(csv, sensor.archive, sensor.sensor)
+    print(scaled_by_labels(model, out, labels, sensor.archived))
     return out
 
 

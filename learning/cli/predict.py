@@ -71,6 +71,7 @@ def predicted(
     from learning.force import load_force_model
     from learning.force.folder import model_name
     from learning.force.intervals import read_intervals
+    from learning.force.made_for import CHOICE
     from learning.training.checkpoint import CONFIG, read_config
     from learning.translation.loading import hash_of
 
@@ -80,7 +81,7 @@ def predicted(
     target, origin = _origin(metadata, archive, sensor_name)
     sensor = archive[target]
     own = folder / SPLIT
-    if split_file is None and (choice := metadata.get("choice")):
+    if split_file is None and (choice := metadata.get(CHOICE)):
         split = split_by_indenters(archive, choice["seen"])
     else:
         split = training_split(archive, split_file or (own if own.is_file() else None))

@@ -24,6 +24,7 @@ Form = Literal["images", "packed", "field", "shading"]
 _AT_ONCE = 256
 _IMAGE = (SIDE, SIDE)
 _ON_DEVICE = ("images", "references", "reference", "wrench")
+_OF_PRESS = ("location", "indenter", "target")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,9 +86,24 @@ class Presses:
         """Return the same frames, each as a separate press without history."""
         press = self.of_frame
         values: dict[str, Any] = {"starts": torch.arange(self.frames + 1)}
-        for each in ("location", "indenter", "target"):
+        for each in _OF_PRESS:
             values[each] = getattr(self, each)[press]
         return replace(self, **values)
+
+    def only(self, chosen: Tensor) -> Self:
+        """Return the presses where `chosen` (P,) is true, on the CPU, with their frames."""
+        frames = chosen[self.of_frame]
+        on_device = frames.to(self.device)
+        lengths = self.starts.diff()[chosen]
+        values: dict[str, Any] = {"starts": torch.cat((lengths.new_zeros(1), lengths.cumsum(0)))}
+        for names, rows in (
+            (("images", "reference", "wrench"), on_device),
+            (_OF_PRESS, chosen),
+            (("phase", "depth", "frame", "rows"), frames),
+        ):
+            values |= {name: getattr(self, name)[rows] for name in names}
+        spread = None if self.spread is None else self.spread[on_device]
+        return replace(self, spread=spread, **values)
 
     def to(self, device: torch.device | str) -> Self:
         """Return the same presses on another device."""

@@ -21,7 +21,6 @@ from recorder.archive import SHADING, ArchivedSensor
 from recorder.markers import unpack
 
 Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Masks unpacked at once.
 _AT_ONCE = 256

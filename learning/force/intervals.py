@@ -71,6 +71,16 @@ class AxisError:
     """By newton of the magnitude of the predicted force."""
 
 
+def errors_at(axes: Sequence[AxisError | None], forces: Floats) -> Floats:
+    """Return the errors of a model's forces (n, 3) [N]; NaN on axes that are not measured."""
+    base, slope = (
+        np.array([np.nan if one is None else getattr(one, name) for one in axes])
+        for name in ("base", "slope")
+    )
+    magnitude = np.sqrt(np.nansum(np.square(forces), axis=1))
+    return np.asarray(base + slope * magnitude[:, None])
+
+
 @dataclass(frozen=True)
 class LearnedShapes:
     """Shapes of the frames that a model learned from."""
@@ -121,12 +131,7 @@ class Intervals:
     def of(self, forces: Floats) -> tuple[Floats, Floats]:
         """Return both ends (n, 3) [N] of the intervals of forces (n, 3); NaN if not calibrated."""
         forces = np.asarray(forces, np.float64).reshape(-1, 3)
-        magnitude = np.sqrt(np.nansum(forces**2, axis=1))
-        base, slope = (
-            np.array([np.nan if one is None else getattr(one, name) for one in self.axes])
-            for name in ("base", "slope")
-        )
-        error = base + slope * magnitude[:, None]
+        error = errors_at(self.axes, forces)
         size = np.abs(forces)
         outward = np.hypot(error, size * (self.scale.factor - 1.0))
         inward = np.hypot(error, size * (1.0 - 1.0 / self.scale.factor))

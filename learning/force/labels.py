@@ -1,8 +1,9 @@
 """Labels that a force model learns from: an archive's, typed readings, a twin's, compensated."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -31,6 +32,11 @@ class Relabelling:
     """Standard deviation of the forces of all rows (m, 3) [N]; None: all are equally certain."""
     made_from: str = ""
     """Twins that they are from; empty: none."""
+
+    def at(self, table: Mapping[str, NDArray[Any]], rows: Integers) -> Floats:
+        """Return the forces (n, 3) [N] of rows (n,) of the sensor's table."""
+        own, depth = (np.asarray(table[name][rows], np.float64) for name in ("wrench", "depth"))
+        return self.forces(rows, own[:, :3], depth, table["phase"][rows].astype(np.int64))
 
     def of(self, presses: Presses) -> Presses:
         """Return presses with these labels."""

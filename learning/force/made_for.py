@@ -23,8 +23,8 @@ from learning.training.checkpoint import CONFIG, read_config
 from recorder.archive import MASKS, ArchivedSensor, MarkerArchive
 from recorder.markers import count_markers, unpack
 
-# Key of the metadata of a model's `config.yaml`.
-KEY = "made_for"
+# Keys of the metadata of a model's `config.yaml`: sensors, and how `tactile force` chose it.
+KEY, CHOICE = "made_for", "choice"
 # Markers and depth may differ by this fraction: some markers are missed, some presses end late.
 TOLERANCE = 0.1
 
@@ -110,7 +110,7 @@ def origin_of(model: str | os.PathLike[str]) -> str:
     """
     folder = Path(model)
     metadata = read_config(folder).metadata if (folder / CONFIG).is_file() else {}
-    choice = metadata.get("choice", {})
+    choice = metadata.get(CHOICE, {})
     way = str(choice.get("about", ""))
     way += f", by labels of {choice['source']}" if choice.get("source") else ""
     intervals = read_intervals(folder)

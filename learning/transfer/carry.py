@@ -38,7 +38,7 @@ _AS_DEEP = 0.1
 
 @dataclass(frozen=True, slots=True)
 class CarryRequest:
-    """A sensor with labels, one without, and what is known of their skins."""
+    """A sensor with labels, one without, and references for the forces of both."""
 
     source: SensorSelection
     target: SensorSelection
@@ -58,6 +58,11 @@ class CarryRequest:
     tolerances: Tolerances = field(default_factory=Tolerances)
     """Largest differences of presses that match."""
 
+    @property
+    def assumed(self) -> float:
+        """Factor on labels that nothing scales between the skins."""
+        return 1.0 if self.ratio is None else self.ratio
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Carried:
@@ -71,8 +76,6 @@ class Carried:
     """Knowledge of the factor between them and the true ones."""
     method: str
     """Scaling between the skins, a method of evaluations."""
-    factor: float
-    """Assumed factor on them."""
 
 
 def carry(request: CarryRequest, say: Say = print) -> Carried:
@@ -111,13 +114,14 @@ def carry(request: CarryRequest, say: Say = print) -> Carried:
     table = archive[source].table
     labels = np.full((len(table["location"]), 3), np.nan)
     rows = np.flatnonzero(table["valid"] & (table["location"] >= 0) & table["seen"])
-    labels[rows] = table["wrench"][rows, :3]
-    if relabelled is not None:
-        depth, phase = table["depth"][rows], table["phase"][rows].astype(np.int64)
-        labels[rows] = relabelled.forces(rows, labels[rows], depth.astype(np.float64), phase)
-    ratio = 1.0 if method != UNSCALED or request.ratio is None else request.ratio
+    if relabelled is None:
+        labels[rows] = table["wrench"][rows, :3]
+    else:
+        labels[rows] = relabelled.at(table, rows)
     forces = labels_by_place(table, labels, archive[target].table)
-    return Carried(archive, forces, _scale(request, method), method, ratio)
+    if method == UNSCALED:
+        forces *= request.assumed
+    return Carried(archive, forces, _scale(request, method), method)
 
 
 def _is_same(path: Path, archive: MarkerArchive) -> bool:
@@ -160,9 +164,8 @@ def _scale(request: CarryRequest, method: str) -> Scale:
         if method == SIMULATED:
             text = "twins of both skins, which simulate every press; their ratio is assumed to hold"
         return Scale(request.within or CURVES, text, assumed=False)
-    ratio = 1.0 if request.ratio is None else request.ratio
     text = (
-        f"assumed that {request.target.name} takes {ratio:g} times the force of "
+        f"assumed that {request.target.name} takes {request.assumed:g} times the force of "
         f"{request.source.name} at the same place and fraction of depth; no force on it was ever "
         "known"
     )

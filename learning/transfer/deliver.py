@@ -3,7 +3,7 @@
 import io
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +13,13 @@ from learning.force.calibrate import IntervalCalibration
 from learning.force.export import export_onnx
 from learning.force.intervals import Intervals, Scale
 from learning.force.loading import load_force_model
-from learning.force.model import AXES
-from learning.training.checkpoint import MODEL, read_model_folder, save_weights
+from learning.force.made_for import CHOICE
+from learning.force.model import AXES, ForceModel
+from learning.training.checkpoint import MODEL, Config, read_model_folder, save_weights
 from recorder.charts import chart
 from recorder.store import replace_file
 
 CARD = "card.md"
-# Key of a model's metadata that says how it was chosen.
-CHOICE = "choice"
 # Line of a card.
 _SCALE = re.compile(r"^\*\*Scale .*$", re.MULTILINE)
 
@@ -44,6 +43,23 @@ def scale_line(scale: Scale) -> str:
     )
 
 
+def write_model(
+    folder: Path,
+    config: Config,
+    model: ForceModel,
+    intervals: Intervals,
+    card: Callable[[float], str],
+) -> None:
+    """Write a model into its folder, which has no other one; the weights come last.
+
+    `card` returns the text of the card, for the difference of the ONNX from torch.
+    """
+    config.write(folder)
+    intervals.write(folder)
+    replace_file(folder / CARD, card(export_onnx(model, folder / "model.onnx")).encode())
+    save_weights(model, folder / f"{MODEL}.safetensors")
+
+
 def rescale(
     model_folder: Path, out: Path, factor: float | Sequence[float], intervals: Intervals
 ) -> None:
@@ -58,13 +74,10 @@ def rescale(
     new = out.with_name(f"{out.name}.new")
     shutil.rmtree(new, ignore_errors=True)
     new.mkdir(parents=True)
-    folder.config.write(new)
-    intervals.write(new)
     card = (model_folder / CARD).read_text(encoding="utf-8")
     line = f"{scale_line(intervals.scale)}. Errors and pictures above are of the model before that."
-    replace_file(new / CARD, _SCALE.sub(lambda _: line, card).encode())
-    export_onnx(model, new / "model.onnx")
-    save_weights(model, new / f"{MODEL}.safetensors")
+    card = _SCALE.sub(lambda _: line, card)
+    write_model(new, folder.config, model, intervals, lambda difference: card)
     new.rename(out)
 
 

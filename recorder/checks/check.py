@@ -351,7 +351,7 @@ def check_stream(
     for run, losses in enumerate(account.runs):
         rows = session.rows_of_run(stream.name, run)
         stood = stalls(session, run)
-        yield from _check_times(session, run, stream, losses)
+        yield from _check_times(session, run, stream, losses, stood)
         still = "still" in (stream.attrs.get("source_motion"), session.attrs.get("source_motion"))
         # A scale repeats one reading while its load rests.
         if stream.traits.defaults.changes and not still and READING not in stream.small:
@@ -449,12 +449,14 @@ def _check_losses(session: Session, where: str, name: str, account: Account) -> 
         yield Finding("drops-unseen", where, unseen(account))
 
 
-def _check_times(session: Session, run: int, stream: Stream, losses: Losses) -> Iterator[Finding]:
+def _check_times(
+    session: Session, run: int, stream: Stream, losses: Losses, stood: NDArray[np.int64]
+) -> Iterator[Finding]:
     where, rows = f"streams/{stream.name}", session.rows_of_run(stream.name, run)
     first, t_ns, rate_hz = rows.start or 0, stream.rows("t_ns", rows), stream.rate_hz
     if len(t_ns) < 2:
         return
-    compressed, stood = is_compressed(session.attrs), stalls(session, run)
+    compressed = is_compressed(session.attrs)
     limit = max(GAP_PERIODS / rate_hz, GAP_LEAST)
     jumped = np.zeros(0, np.intp) if compressed else _clock_steps(stream, rows, losses, limit)
     known = np.concatenate([losses.row - 1, jumped])
@@ -524,8 +526,10 @@ def _stays(
     Samples come late and never early, so the promptest on either side are compared; where there are
     too few of them to tell, it is a delay.
     """
-    t_ns, clock = stream.rows("t_ns", rows), witnesses(stream, rows).get("device_t")
     near, stays = max(4, round(TELLS * stream.rate_hz)), np.zeros(len(at), np.bool_)
+    if not len(at):
+        return stays
+    t_ns, clock = stream.rows("t_ns", rows), witnesses(stream, rows).get("device_t")
     for k, row in enumerate(at.tolist()):
         low, high = max(row + 1 - near, 0), min(row + 1 + near, len(t_ns))
         due = numbers(np.arange(low, high), losses) / stream.rate_hz

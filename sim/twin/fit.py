@@ -88,13 +88,23 @@ class Uncertainty:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fit(Uncertainty):
-    """Result of a fit."""
+class Identified(Uncertainty):
+    """Quantities that presses identify, with or without a gauge."""
 
     design: SimulatedSensor
-    """Sensor from which it began, with friction and viscosity."""
+    """Sensor from which the fit began, with friction and viscosity."""
     values: Mapping[str, float]
     """All quantities, in SI."""
+
+    def interval(self, name: str, z: float = Z) -> tuple[float, float]:
+        """Return the interval of a quantity, 90 % by default."""
+        return interval_of(name, self.values[name], z * self.spreads[name])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit(Identified):
+    """Result of a fit."""
+
     tracks: tuple[PressTrack, ...]
     readings: tuple[Array, ...]
     """Forces that the twin gives (n, 3) [N], of each track."""
@@ -132,10 +142,6 @@ class Fit(Uncertainty):
     def distance(self, name: str, value: float) -> float:
         """Return the distance from a value to that of a quantity, in its standard deviations."""
         return way_of(name, {name: value}, self.values) / self.spreads[name]
-
-    def interval(self, name: str, z: float = Z) -> tuple[float, float]:
-        """Return the interval of a quantity, 90 % by default."""
-        return interval_of(name, self.values[name], z * self.spreads[name])
 
 
 def prior_spread(name: str) -> float:

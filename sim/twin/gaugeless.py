@@ -30,7 +30,7 @@ from sim.markers import Camera
 from sim.result import ContactTier, Result
 from sim.scene import Effects, Scene
 from sim.sensors import Posterior, SimulatedSensor, SurfaceField
-from sim.sensors.posterior import CAMERA, interval_of
+from sim.sensors.posterior import CAMERA
 from sim.sensors.quantities import camera_quantities, quantities, with_camera, with_quantities
 from sim.tiers import simulate, simulate_many
 from sim.twin import fit as gauged
@@ -137,11 +137,9 @@ class Near(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GaugelessFit(gauged.Uncertainty):
+class GaugelessFit(gauged.Identified):
     """Result of a fit without a gauge."""
 
-    design: SimulatedSensor
-    values: Values
     presses: tuple[MarkedPress, ...]
     predicted: tuple[Array, ...]
     """Markers of the twin at the rests of each press (f, m, 2) [px]."""
@@ -174,10 +172,6 @@ class GaugelessFit(gauged.Uncertainty):
         arms = [press.full("height") for press in self.presses if not press.weight]
         height = float(np.mean([values[name] for name in arms]))
         return replace(twin, posterior=Posterior.of([*names], covariance, self.tier, height, LAW))
-
-    def interval(self, name: str, z: float = gauged.Z) -> Pair:
-        """Return the interval of a quantity, 90 % by default."""
-        return interval_of(name, self.values[name], z * self.spreads[name])
 
     def force_of(self, press: MarkedPress) -> Pair:
         """Return the force [N] under which markers are as in a press that was not fitted.

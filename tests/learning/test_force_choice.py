@@ -209,7 +209,7 @@ def test_the_command_chooses_delivers_and_says_how_good_it_is(
     assert "| cells |" in (out / "card.md").read_text()
     assert re.search(r"marker motion.*; 90 % intervals Fx \+- \d", origin_of(out))
     # Again: what was left out is not trained again, and the model is the same.
-    monkeypatch.setattr("learning.choice.run.export_onnx", lambda model, out: 0.0)
+    monkeypatch.setattr("learning.transfer.deliver.export_onnx", lambda model, out: 0.0)
     times = {file: file.stat().st_mtime_ns for file in (out / "steps" / "left-out").iterdir()}
     assert run_module(force, *words, "--out", out) == 0
     assert (out / "model.safetensors").read_bytes() == weights
@@ -239,7 +239,7 @@ def test_the_command_chooses_delivers_and_says_how_good_it_is(
 def test_forces_of_a_twin_are_labels_of_a_sensor_without_a_gauge(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("learning.choice.run.export_onnx", lambda model, out: 0.0)
+    monkeypatch.setattr("learning.transfer.deliver.export_onnx", lambda model, out: 0.0)
     path = tmp_path / "bare.markers.zarr"
     bare = made_up_archive(path, ["dots"], targets=1, unseen=(), unlabelled=["dots"])
     words = ["--sensor", str(path), "--ways", "ridge", "--out", str(tmp_path / "model")]
@@ -269,7 +269,7 @@ def test_another_sensor_s_net_is_a_way_and_begins_one(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("learning.choice.run.export_onnx", lambda model, out: 0.0)
+    monkeypatch.setattr("learning.transfer.deliver.export_onnx", lambda model, out: 0.0)
     short = ("patience_epochs=null", "stages=[{epochs: 1, learning_rate: 0.001}]")
     monkeypatch.setattr("learning.choice.candidates.OVER", short)
     other = tmp_path / "b.markers.zarr"

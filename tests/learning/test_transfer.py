@@ -345,7 +345,6 @@ def test_a_model_by_another_sensor_s_labels_reads_none_of_its_own(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("learning.choice.run.export_onnx", lambda model, out: 0.0)
     monkeypatch.setattr("learning.transfer.deliver.export_onnx", lambda model, out: 0.0)
     one, other = recordings
     # The same frames without forces.
@@ -400,7 +399,7 @@ def test_a_model_by_another_sensor_s_labels_reads_none_of_its_own(
 def test_labels_that_twins_of_both_scale_have_the_target_s_scale(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("learning.choice.run.export_onnx", lambda model, out: 0.0)
+    monkeypatch.setattr("learning.transfer.deliver.export_onnx", lambda model, out: 0.0)
     words: list[Any] = ["--by", "source", "--ways", "ridge", "--out", tmp_path / "run"]
     archives = {}
     for name, role in (("dots", "--source"), ("grid", "--sensor")):
