@@ -139,7 +139,8 @@ class Skin:
                 at = follower.step(mask)
             seen.append(at)
             before = after
-        return MarkedPress(name, name, mounting, tip, markers, np.array(seen), weight)
+        given = tip, markers, np.array(seen), weight, follower.radius
+        return MarkedPress(name, name, mounting, *given)
 
     def yielded(self, outcome: Any) -> Array:
         """Return the forces (f,) [N] of a press whose mount yields, from those of a rigid one.

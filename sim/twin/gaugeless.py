@@ -85,6 +85,9 @@ DEPTHS, PLACES = np.linspace(0.06, 0.54, 9), np.linspace(-3e-3, 3e-3, 13)
 # Smooth indenters, which have solutions on all skins; depth and way sideways of a plan over the
 # thickness, and its holds [s].
 SMOOTH, PRESSED, SHEARED, HOLD = ("sphere", "sphere_s", "hemisphere"), 0.27, 0.22, 1.0
+# Corners of a polygon about a marker over its radius (16, 2).
+TURNS = np.arange(0.0, 2 * np.pi, np.pi / 8)
+ROUND = np.column_stack([np.cos(TURNS), np.sin(TURNS)])
 # Usual masses [kg], and depth over the thickness up to which a skin bears one.
 MASSES, BEARS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0), 0.35
 
@@ -110,6 +113,8 @@ class MarkedPress:
     """The same at each rest (f, m, 2) [px], NaN where one was not found."""
     weight: float = 0.0
     """Weight that presses [N], NaN if it is not known; 0 if an arm does."""
+    radius: float = 1.0
+    """Radius of a disc as large as a marker [px]."""
 
     def full(self, name: str) -> str:
         """Return the full name of a quantity, which may be of its mounting."""
@@ -263,13 +268,16 @@ class Problem:
         scale, distance, column, row, rotation = (values[name] for name in VIEW)
         tilt = self._signal.camera().tilt
         camera = Camera(distance / scale, distance, (column, row), rotation, tilt)
-        flat = camera.places(press.undeformed, body)
+        radius = press.radius if self._signal.pins is None else 1.0  # a pin's head is rigid
+        outlines = press.undeformed[:, None] + radius * ROUND
+        flat = camera.places(outlines.reshape(-1, 2), body)
         *way, angle = (values[press.full(name)] - solved[press.full(name)] for name in PLACED)
         angle += solved[press.full("turn")]
         turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
         moved = there.top.at(flat @ turn - np.array(way))
         moved[..., :2] = moved[..., :2] @ turn.T
-        return camera.project(np.column_stack([flat, body.heights_at(*flat.T)]) + moved)
+        seen = camera.project(np.column_stack([flat, body.heights_at(*flat.T)]) + moved)
+        return _middles(seen.reshape(len(moved), *outlines.shape))
 
     def _found(self, press: MarkedPress) -> MarkedPress:
         """Return a weight's press at the depth and place that its markers show on the design."""
@@ -378,6 +386,20 @@ class Problem:
         """Return forces over the modulus (f,) at the prior's centre, of a rigid mount."""
         solved = self._solved([self._scene(press, self.centre) for press in self.presses])
         return [_required(*each).force for each in zip(self.presses, solved, strict=True)]
+
+
+def _middles(outlines: Array) -> Array:
+    """Return the centroids (..., 2) of the areas inside polygons (..., k, 2).
+
+    A marker is found at that of its image, which differs from the image of its middle where the
+    skin is stretched unevenly: by some 1 % of the motion, beside a tip by 4 %.
+    """
+    middle = outlines.mean(axis=-2, keepdims=True)
+    corner = outlines - middle
+    after = np.roll(corner, -1, axis=-2)
+    areas = corner[..., 0] * after[..., 1] - corner[..., 1] * after[..., 0]
+    off = ((corner + after) * areas[..., None]).sum(axis=-2)
+    return np.asarray(middle[..., 0, :] + off / (3 * areas.sum(axis=-1))[..., None])
 
 
 def _required(press: MarkedPress, solution: Solution | None) -> Solution:
@@ -533,7 +555,8 @@ def marked_presses(observations: Sequence[MarkerObservations]) -> list[MarkedPre
             count = 1 + int(np.linalg.norm(tips[:, :2] - tips[0, :2], axis=1).argmax())
             tip = np.concatenate([[[*tips[0, :2], ABOVE]], tips[:count]])
             press = f"{track.name}, press {target}", track.indenter, number, tip
-            presses.append(MarkedPress(*press, each.undeformed, each.observed[own[:count]]))
+            seen = each.undeformed, each.observed[own[:count]]
+            presses.append(MarkedPress(*press, *seen, radius=each.radius))
     presses.sort(key=lambda press: float(press.tip[:, 2].min()))
     order = [press.mounting for press in presses]
     ranks = [order[:k].count(number) for k, number in enumerate(order)]
@@ -576,7 +599,8 @@ def weighed_press(text: str, mounting: int) -> MarkedPress:
     observed[found] = np.nanmean(seen[np.ix_(resting, found)], axis=0)
     indenter = archive.indenters[int(sensor.table["indenter"][rows[under[-1]]])]
     name = f"{form[1]} {form[2]} on {indenter}"
-    return MarkedPress(name, indenter, mounting, np.zeros((2, 3)), markers, observed[None], force)
+    tip, seen, radius = np.zeros((2, 3)), observed[None], follower.radius
+    return MarkedPress(name, indenter, mounting, tip, markers, seen, force, radius)
 
 
 def plan_without_gauge(

@@ -1,6 +1,7 @@
 """Markers of a sensor at rest under presses, from the binary images of marker archives."""
 
 import json
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
@@ -43,6 +44,8 @@ class MarkerObservations:
     """Column and row of the whole markers in it (m, 2) [px]."""
     observed: Array
     """The same at each point (f, m, 2) [px]; NaN where a marker was not found."""
+    radius: float = 1.0
+    """Radius of a disc as large as a marker [px]."""
 
 
 def marker_observations(
@@ -116,9 +119,8 @@ def _observations(
                 f"under contact; allowed: up to {100 * LOST:.0f} %"
             )
         if positions:
-            yield MarkerObservations(
-                track, np.array(points, np.int64), mask, follower.markers, np.array(positions)
-            )
+            seen = follower.markers, np.array(positions), follower.radius
+            yield MarkerObservations(track, np.array(points, np.int64), mask, *seen)
 
 
 def camera_signal(sensor: SimulatedSensor) -> CameraSignal:
@@ -148,6 +150,11 @@ class Follower:
         if len(markers) < FEWEST:
             raise SceneError(f"{name}: {len(markers)} whole markers; allowed: {FEWEST} or more")
         return cls(markers, float(np.median(blobs.area)))
+
+    @property
+    def radius(self) -> float:
+        """Radius of a disc as large as a marker [px]."""
+        return math.sqrt(self._area / math.pi)
 
     def restart(self) -> None:
         """Expect the markers where they are without contact."""

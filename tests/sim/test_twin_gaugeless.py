@@ -18,7 +18,7 @@ from sim.scene import Effects, Friction, Motion, Scene
 from sim.sensors import SimulatedSensor, SurfaceField, read_sensor, sensor
 from sim.sensors.quantities import camera_quantities, with_quantities
 from sim.tiers import simulate
-from sim.twin import MarkedPress, fitted_without_gauge, weighed_press
+from sim.twin import MarkedPress, fitted_without_gauge, gaugeless, weighed_press
 from sim.twin.gaugeless import GRAVITY, LAYER, UNMEASURED, GaugelessFit, Problem
 from tactile.__main__ import main
 
@@ -199,3 +199,16 @@ def test_the_command_fits_sessions_without_forces_and_foretells_a_weight(
 def test_a_weight_needs_a_fit_without_a_gauge(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["twin", "fit", "a.zarr", "--sensor", "gelsight", "--weight", "200g=w"]) == 2
     assert "--weight: with a gauge; allowed: with --no-gauge" in capsys.readouterr().err
+
+
+def test_a_marker_is_found_at_the_centroid_of_its_stretched_image() -> None:
+    """Beside a disc's image under x + c x^2, whose centroid is an integral over the disc."""
+    radius, bend = 14.0, 2e-3
+    outline = radius * gaugeless.ROUND
+    outline[:, 0] += bend * outline[:, 0] ** 2
+    x, y = np.meshgrid(*2 * [np.linspace(-1, 1, 801) * radius])
+    inside = x**2 + y**2 < radius**2
+    area = 1 + 2 * bend * x[inside]
+    centroid = ((x + bend * x**2)[inside] * area).sum() / area.sum()
+    assert gaugeless._middles(outline)[0] == pytest.approx(centroid, rel=0.02)
+    assert centroid > 2.5 * (bend * x[inside] ** 2).mean()
