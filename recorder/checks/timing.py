@@ -18,7 +18,7 @@ from recorder.session.uncertainty import latency_sigma, since_shown
 # twice that, with some scatters, is too much. How much more the arm's way leaves of its signal,
 # over the spread of others; factor to those of its depth and point; part that another may have.
 SIGMAS, FRAME, ERRORS, APART, FRAMES, SCATTERS = 3.0, 1 / 30, 3.0, 0.06, 1.5, 4.0
-UNLIKE, BESIDE, PLACE = 0.3, 3.3, 0.4
+UNLIKE, BESIDE, PLACE = 0.3, 3.6, 0.4
 # Least number of presses that tell if a force follows the depth, its spread over a felt force, and
 # what the depth leaves of it in the median.
 SEVERAL, SPREAD, LEAVES = 5, 0.4, 0.8

@@ -77,7 +77,6 @@ def run(options: argparse.Namespace) -> int:
     from recorder.progress import Progress
     from sim.sensors import NAMES, sensor_of
     from sim.sensors.sensor import ROWS
-    from sim.twin.gaugeless import UNMEASURED
     from sim.twin.record import twin_yaml
 
     design, archives = sensor_of(options.sensor), [MarkerArchive(path) for path in options.markers]
@@ -93,8 +92,7 @@ def run(options: argparse.Namespace) -> int:
     extends = os.path.relpath(options.sensor, options.out.parent) if own else f"{twin.name}.yaml"
     assert own or (ROWS / extends).exists()
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    note = f". {UNMEASURED}" if options.no_gauge else ""
-    row = twin_yaml(twin, extends, [path.name for path in options.sessions], note)
+    row = twin_yaml(twin, extends, [path.name for path in options.sessions])
     options.out.write_text(row, encoding="utf-8")
     if not options.json:
         print(options.out)
@@ -163,7 +161,6 @@ def _without_gauge(
     """Fit by markers alone, and return as `_with_gauge` does."""
     from recorder.session import Session
     from sim import twin
-    from sim.twin.gaugeless import UNMEASURED
     from sim.twin.record import lines_without_gauge, values_of
 
     if not options.markers or options.held_out:
@@ -184,7 +181,7 @@ def _without_gauge(
     )
     foretold = [(check, *fit.force_of(check)) for check in checks]
     checked = [[check.weight, force, spread] for check, force, spread in foretold]
-    content = {**values_of(fit), "checks": checked, "note": UNMEASURED}
+    content = {**values_of(fit), "checks": checked}
     refused = _markers_off(options, fit.presses, fit.predicted)
     return fit.sensor, content, lines_without_gauge(fit, foretold), refused
 

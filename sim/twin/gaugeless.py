@@ -38,8 +38,6 @@ from sim.twin.markers import LOST, Follower, MarkerObservations, camera_signal
 from sim.twin.model import leaning, motion_of, printed
 from sim.twin.plan import PlannedPresses, planned_presses
 
-# Sentence of the command's output and of the row.
-UNMEASURED = "The coverage of this fit's intervals is not yet measured over many skins."
 # Prior spreads, as in `sim.twin.fit`. Names of what is of one mounting of an indenter end in `@`
 # and its number.
 PRIOR = {

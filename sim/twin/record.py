@@ -17,7 +17,7 @@ from sim.sensors import CameraSignal, SimulatedSensor
 from sim.sensors.posterior import is_log
 from sim.twin.camera import CameraFit, HeldOut, differences
 from sim.twin.fit import Fit, Z, misfit
-from sim.twin.gaugeless import OF_SENSOR, UNMEASURED, GaugelessFit, MarkedPress
+from sim.twin.gaugeless import OF_SENSOR, GaugelessFit, MarkedPress
 from sim.twin.markers import MarkerObservations
 from sim.twin.observations import PressTrack
 from sim.twin.plan import PlannedPresses, Planner, cost
@@ -69,13 +69,13 @@ def skin_row(sensor: SimulatedSensor) -> dict[str, Any]:
     }
 
 
-def twin_yaml(sensor: SimulatedSensor, design: str, sessions: Sequence[str], note: str = "") -> str:
+def twin_yaml(sensor: SimulatedSensor, design: str, sessions: Sequence[str]) -> str:
     """Return the row of a twin, which extends the design's file or row `design`."""
     posterior = sensor.posterior
     assert posterior is not None
     content: dict[str, Any] = {
         "extends": design,
-        "description": f"Twin of a sensor, identified from {', '.join(sessions)}{note}",
+        "description": f"Twin of a sensor, identified from {', '.join(sessions)}",
         **skin_row(sensor),
         "posterior": {
             "names": list(posterior.names),
@@ -181,7 +181,7 @@ def lines_without_gauge(
         if name == "modulus" and not fit.weighed:
             note = "  no weight (--weight): the prior's, and so is the scale of all forces"
         report.append(_line(name, fit.values[name], fit.interval(name), note))
-    report += [UNMEASURED, "relaxation is the design's: markers do not tell it"]
+    report.append("relaxation is the design's: markers do not tell it")
     report.append(
         f"{len(fit.presses)} presses; {_marker_line(fit.presses, fit.predicted)}; noise "
         f"{fit.noise[0]:.2f} px, error of the model {100 * fit.noise[1]:.1f} % of the motion"
