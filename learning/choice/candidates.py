@@ -33,6 +33,8 @@ class Candidate:
     """Features of a model in closed form."""
     preset: str | None = None
     """Preset of a network."""
+    plugin: str | None = None
+    """Another package's model, in place of the preset's network."""
     source: Callable[[], Presses] | None = None
     """Returns presses of another sensor that the network learns first, whose indenters have the
     codes of this one's (`with_codes`)."""
@@ -61,7 +63,8 @@ class Candidate:
 
     def _settings(self, seed: int, presses: Presses) -> ForceModelSettings:
         device = f"launch.device={presses.device.type}"
-        return read_force_settings(str(self.preset), (f"seed={seed}", device, *OVER))
+        more = () if self.plugin is None else (f"plugin={self.plugin}",)
+        return read_force_settings(str(self.preset), (f"seed={seed}", device, *OVER, *more))
 
 
 def candidates_of(
@@ -90,6 +93,12 @@ def candidates_of(
         ways.append(replace(first, name="source", about=f"{about}, as it is", tuned=False))
         ways.append(replace(first, name="tuned", about=f"{about}, tuned on own labels"))
     return *ways, net, images
+
+
+def of_plugin(name: str) -> Candidate:
+    """Return the way by a force model that an installed package offers (`learning.plugins`)."""
+    form = read_force_settings("tiny", (f"plugin={name}",)).input.stored_form
+    return Candidate(name, "a model of another package", form, preset="tiny", plugin=name)
 
 
 def with_codes(presses: Presses, names: Sequence[str], others: Sequence[str]) -> Presses:

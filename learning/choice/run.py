@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.choice.candidates import Candidate, candidates_of, with_codes
+from learning.choice.candidates import Candidate, candidates_of, of_plugin, with_codes
 from learning.choice.nested import FEWEST, Choice, Fold, Labelled, choose, contained
 from learning.config import require_same
 from learning.data.matching import SensorSelection
@@ -33,6 +33,7 @@ from learning.force.labels import TWIN, LabelSource, Relabelling, label_source
 from learning.force.made_for import CHOICE, metadata_of
 from learning.force.model import AXES, KIND, ForceModel
 from learning.metrics import axis_means
+from learning.plugins import plugin_names
 from learning.training.checkpoint import CONFIG, MODEL, Config, code_version
 from learning.transfer.carry import Carried
 from learning.transfer.deliver import CARD, calibration_picture, scale_line, write_model
@@ -185,10 +186,14 @@ def _ways(one: Request) -> list[Candidate]:
     if one.source is not None:
         source = functools.cache(functools.partial(_presses_of_source, one, one.source))
         ways = candidates_of(one.sensor.archived, one.source.sensor, source)
-    known = [way.name for way in ways]
-    if unknown := sorted(set(one.ways or ()) - set(known)):
-        raise LearningError(f"--ways: found {', '.join(unknown)}; allowed: {', '.join(known)}")
-    return [way for way in ways if one.ways is None or way.name in one.ways]
+    known, offered = [way.name for way in ways], plugin_names()
+    more = [name for name in one.ways or () if name not in known]
+    if unknown := sorted(set(more) - set(offered)):
+        raise LearningError(
+            f"--ways: found {', '.join(unknown)}; allowed: {', '.join([*known, *offered])}"
+        )
+    own = [way for way in ways if one.ways is None or way.name in one.ways]
+    return [*own, *map(of_plugin, more)]
 
 
 def _presses_of_source(one: Request, source: SensorSelection) -> Presses:

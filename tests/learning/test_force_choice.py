@@ -10,6 +10,7 @@ import pytest
 import torch
 from support.commands import run_module
 from support.force_models import noise_presses
+from support.foreign_model import installed
 from support.made_up_archives import made_up_archive, write_twin
 
 from learning.choice.candidates import candidates_of, with_codes, without
@@ -182,6 +183,9 @@ def test_labels_that_say_nothing_of_a_new_indenter_are_refused() -> None:
         Labelled(forces, codes).require(folds)
 
 
+foreign = installed()
+
+
 @pytest.fixture(scope="module")
 def archive(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
     path = tmp_path_factory.mktemp("choice") / "a.markers.zarr"
@@ -282,6 +286,24 @@ def test_another_sensor_s_net_is_a_way_and_begins_one(
     model = load_force_model(tmp_path / "model")
     # Whichever was chosen, it is a net whose forces are within its range of training.
     assert (model.high > model.low).all()
+
+
+@pytest.mark.slow
+def test_a_model_of_another_package_is_a_way(
+    archive: MarkerArchive,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("learning.transfer.deliver.export_onnx", lambda model, out: 0.0)
+    short = ("patience_epochs=null", "stages=[{epochs: 1, learning_rate: 0.001}]")
+    monkeypatch.setattr("learning.choice.candidates.OVER", short)
+    words = ["--sensor", str(archive.path), "--ways", "mean-force"]
+    assert run_module(force, *words, "--out", tmp_path / "model") == 0
+    assert "chosen: mean-force (a model of another package)" in capsys.readouterr().out
+    assert type(load_force_model(tmp_path / "model")).__name__ == "MeanForce"
+    with pytest.raises(LearningError, match="load returned Still; allowed: a ForceModel"):
+        run_module(force, *words[:3], "still", "--out", tmp_path / "still")
 
 
 def test_the_table_of_ways_is_that_of_the_experiments() -> None:
