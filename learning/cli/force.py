@@ -52,12 +52,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="labels to learn from: its own, forces of its twin, or the source's (the first of "
         "these that is there); with twin or source its own are not read",
     )
-    add(
-        "--ways",
-        type=names,
-        metavar="NAME,...",
-        help="compare these alone, and models of other packages (all of ours)",
-    )
+    about = "compare these alone, with models of other packages by name (all ways of this one)"
+    add("--ways", type=names, metavar="NAME,...", help=about)
     about = "indenters that no stage uses (as in the archives; none: '')"
     add("--unseen", type=names_or_none, metavar="NAME,...", help=about)
     add("--explain", action="store_true", help="print the way, and its results in the experiments")
