@@ -6,14 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.bench.worlds import Noise, WorldSpec
+from rig.bench.worlds import WorldSpec
 from rig.core.config import build, read_yaml
 from rig.mock.world.contact import World, tip_of
-from rig.mock.world.lab import Exposure
 from rig.mock.world.ladder import LadderSurface, LadderWorld
-from rig.mock.world.picture import MarkerPicture
-from rig.mock.world.sensors import markers_of, pad_of
+from rig.mock.world.sensors import pad_of
 from rig.mock.world.simulated import Between, SimulatedSurface, SimulatedWorld
+from rig.mock.world.views import reading_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,29 +57,16 @@ def load_view(path: Path, kind: str = "camera") -> Callable[[np.void], np.ndarra
         ConfigError: The document is invalid, or the World has no such sensor.
     """
     settings = build(WorldConfig, read_yaml(path), str(path))
-    if kind == "taxels":
+    if kind == "taxels" and settings.world.tier == "layer":
         return _counts(settings)
-    spec = settings.world
-    markers = markers_of(spec)
-    surface = settings.surface(markers.points)
-    picture = MarkerPicture(
-        background=spec.background,
-        ink=spec.ink,
-        light=spec.light,
-        grey_noise=(spec.noise or Noise()).grey,
-    )
-    exposure = Exposure(spec.lab)
-    return lambda state: exposure.passed(
-        picture.image(markers.outlines(surface(state))), int(state["t_ns"])
-    )
+    reading = reading_of(settings.world, kind)
+    surface = settings.surface(reading.points)
+    return lambda state: reading(surface(state), int(state["t_ns"]))
 
 
 def _counts(settings: WorldConfig) -> Callable[[np.void], np.ndarray]:
-    points, counts = pad_of(settings.world)
-    if settings.world.tier == "layer":
-        solution = Between(settings.world, settings.folder)
-        return lambda state: np.clip(
-            solution.at(int(state["t_ns"]), tip_of(state))[6:], 0, 65535
-        ).reshape(-1, 3)
-    surface = settings.surface(points)
-    return lambda state: counts(surface(state))
+    pad_of(settings.world)
+    solution = Between(settings.world, settings.folder)
+    return lambda state: np.clip(
+        solution.at(int(state["t_ns"]), tip_of(state))[6:], 0, 65535
+    ).reshape(-1, 3)
