@@ -16,15 +16,17 @@ import os
 import select
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from rig.core.clock import SECOND_NS, Clock
-from rig.core.emulation import EmulatorConfig, Pty, PtyEmulator, Served
+from rig.core.emulation import EmulatorConfig, Pty, PtyEmulator, Served, SharedWorld
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
+from rig.core.samples import HAND_TRUTH
+from rig.core.shared_memory import SharedLatest
 from rig.devices.gripper import robotiq_wire as wire
-from rig.devices.gripper.settings import RobotiqConfig
+from rig.devices.gripper.settings import HandConfig
 
 # Behaviour of the emulated gripper: activation, movement, the object, faults. No I/O.
 #
@@ -39,24 +41,41 @@ _OPEN, _CLOSED = 3, 230
 _SILENT_NS = SECOND_NS
 # Motor current [A].
 _HOLDING_CURRENT, _MOVING_CURRENT = 0.06, 0.2
+# Force at rFR 0 and 255 [N], of a 2F-85.
+_WEAKEST, _STRONGEST = 20.0, 235.0
+# Cycle of a hand's motion.
+_CYCLE_NS = 4_000_000
 
 
 class Fingers:
     """Model of a 2F gripper, as seen in its registers.
 
     Closing fingers meet the object at `object_at`, counts, if there is one; `holding` starts
-    activated and closed on it.
+    activated and closed on it, `ready` activated and open. `felt` returns the force on the fingers
+    of a hand [N], at which closing fingers stop in place of `object_at`.
     """
 
-    def __init__(self, clock: Clock, *, object_at: int | None, holding: bool = False) -> None:
+    def __init__(
+        self,
+        clock: Clock,
+        *,
+        object_at: int | None,
+        holding: bool = False,
+        ready: bool = False,
+        felt: Callable[[], float] | None = None,
+    ) -> None:
         self._clock = clock
-        self._object_at = object_at
+        self._felt = felt
+        self._object_at: float | None = object_at
         self._command = wire.GripperCommand(activate=False)
         self._state = wire.RESET
         self._activated_ns = 0
         self._position = float(_OPEN)
         self._moved_ns = self._heard_ns = clock.now_ns()
         self._fault = 0
+        if ready:
+            self._command = wire.GripperCommand(position=_OPEN)
+            self._state = wire.ACTIVE
         if holding:
             if object_at is None:
                 raise ValueError("holding: nothing to hold; allowed: with an object")
@@ -73,6 +92,11 @@ class Fingers:
         elif command.go and self._state != wire.ACTIVE:
             self._fault = 5
         self._command = command
+
+    def advance(self) -> float:
+        """Move until now and return the position, not rounded to counts."""
+        self._advance()
+        return self._position
 
     def heard(self) -> None:
         """Note that the line is alive; after a second of silence the next status reports it."""
@@ -140,6 +164,9 @@ class Fingers:
 
     def _goal(self) -> float:
         goal = float(min(max(self._command.position, _OPEN), _CLOSED))
+        if self._felt is not None and goal > self._position:
+            most = _WEAKEST + self._command.force / 255 * (_STRONGEST - _WEAKEST)
+            self._object_at = self._position if self._felt() >= most else None
         if self._object_at is not None and goal > self._object_at >= self._position:
             return float(self._object_at)
         return goal
@@ -161,9 +188,18 @@ class RobotiqEmulator(PtyEmulator):
     """An emulated gripper, which behaves like `fingers`, on a pty that `link` leads to."""
 
     def __init__(
-        self, fingers: Fingers, link: Path, clock: Clock, *, slave: int = 9, seed: int = 0
+        self,
+        fingers: Fingers,
+        link: Path,
+        clock: Clock,
+        *,
+        slave: int = 9,
+        seed: int = 0,
+        delay: float = 0.0,
+        moved: Callable[[int, float], None] | None = None,
     ) -> None:
         super().__init__(link)
+        self._clock, self._delay, self._moved = clock, delay, moved
         self.fingers = fingers
         self.faults = FaultInjector[bytes](clock, spoil=corrupted_bytes, seed=seed)
         self.requests = 0
@@ -186,6 +222,22 @@ class RobotiqEmulator(PtyEmulator):
         else:
             line = self.faults.inject(fault, **values)
         return {**line, "requests": self.requests}
+
+    def start(self) -> None:
+        """Create the pty, serve, and tell a World how the fingers move."""
+        super().start()
+        if self._moved is not None:
+            self._threads.append(threading.Thread(target=self._move, args=(self._moved,)))
+            self._threads[-1].start()
+
+    def _move(self, moved: Callable[[int, float], None]) -> None:
+        t_ns = self._clock.now_ns()
+        while not self._ending.is_set():
+            t_ns = max(t_ns + _CYCLE_NS, self._clock.now_ns())
+            self._clock.sleep_until(t_ns)
+            with self._lock:
+                position = self.fingers.advance()
+            moved(t_ns, position)
 
     def _serve(self) -> None:
         pending = b""
@@ -220,6 +272,7 @@ class RobotiqEmulator(PtyEmulator):
             with self._lock:
                 reply = self._answer(request)
             self.requests += 1
+            self._ending.wait(self._delay)
             for message in self.faults.passed(reply):
                 os.write(fd, message)
         return pending
@@ -248,16 +301,40 @@ class RobotiqEmulator(PtyEmulator):
 class RobotiqEmulatorConfig(EmulatorConfig):
     """Port and object of the emulated gripper."""
 
-    device: RobotiqConfig
+    device: HandConfig
     holding: bool = False
     """Start activated and closed on the object."""
+    hand: Path | None = None
+    """Record of the opening, for the World of a hand; None: an object at `object_mock`."""
+    delay: float = field(default=0.0, metadata={"unit": "ms"})
+    """Time until an answer is sent [s]."""
 
 
 def emulate(settings: RobotiqEmulatorConfig, clock: Clock) -> Served:
     """Return the emulated gripper, with the object at `object_mock` of its device."""
-    device = settings.device
-    fingers = Fingers(clock, object_at=device.object_mock, holding=settings.holding)
+    device, hand = settings.device, settings.hand
+    moved: Callable[[int, float], None] | None = None
+    if hand is None:
+        fingers = Fingers(clock, object_at=device.object_mock, holding=settings.holding)
+    else:
+        world, record = (
+            SharedWorld(settings.world),
+            SharedLatest.attach(hand, HAND_TRUTH, writable=True),
+        )
+        fingers = Fingers(
+            clock, object_at=None, ready=True, felt=lambda: -float(world.state()[1]["wrench"][2])
+        )
+
+        def moved(t_ns: int, position: float) -> None:
+            record.write((t_ns, device.opening(position)))
+
     emulator = RobotiqEmulator(
-        fingers, Path(device.port), clock, slave=device.slave, seed=settings.seed
+        fingers,
+        Path(device.port),
+        clock,
+        slave=device.slave,
+        seed=settings.seed,
+        delay=settings.delay,
+        moved=moved,
     )
     return Served("gripper", emulator, emulator.inject)

@@ -26,6 +26,8 @@ class WorldConfig:
     """Run folder with the shared records."""
     indenter: str = ""
     """Name of the indenter on the arm."""
+    faces: tuple[tuple[str, float], ...] = ()
+    """Indenter and friction factor of each object that a finger presses, by its number."""
     truth: Path | None = None
     """File to log every state to, for tests."""
     host: str = "127.0.0.1"
@@ -37,7 +39,7 @@ class WorldConfig:
         """Return a function of a WORLD_STATE: how points (n, 2) [m] move (n, 3) [m]."""
         if self.world.tier == "layer":
             return SimulatedSurface(self.world, self.folder, points)
-        return LadderSurface(self.world, self.indenter, points)
+        return LadderSurface(self.world, self.indenter, points, self.faces)
 
 
 def build_world(settings: WorldConfig) -> World:
