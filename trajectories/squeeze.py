@@ -18,7 +18,7 @@ class SqueezeStep:
     turn: Vector
     """Unit vector of gravity in the frame of the hand."""
     step: int
-    """Number of the step, from 1."""
+    """Number of the step; 0: open and empty, for the reference."""
     closing: float
     """Object's width less the opening [m]."""
     lifted: bool
@@ -70,6 +70,7 @@ class Squeeze:
         """Yield the steps for a number of objects, object by object and turn by turn."""
         for point in range(objects * len(self.turns)):
             number, turn = divmod(point, len(self.turns))
-            for step in range(1, self.steps + 1):
+            for step in range(self.steps + 1):
+                closing = step * self.step if step else -self.clearance
                 lifted = 0 < self.lift <= step
-                yield SqueezeStep(point, number, self.turns[turn], step, step * self.step, lifted)
+                yield SqueezeStep(point, number, self.turns[turn], step, closing, lifted)

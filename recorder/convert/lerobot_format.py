@@ -107,6 +107,7 @@ def document_of(part: Statistics, *, of_images: bool = False) -> dict[str, list[
 
 VERSION = "v3.0"
 IMAGE = "observation.images.tactile"
+FASTER = 1.05  # rate of a signal over that of the frames from which its windows are written
 _CHUNK_FILES = 1000  # files per chunk-NNN folder, LeRobot's default
 _FILE_BYTES = 100_000_000  # LeRobot's default: data_files_size_in_mb 100
 # Features of the first stream of a kind, by its column of `frames`, in their order.
@@ -153,13 +154,17 @@ class Feature:
 
 
 def feature_names(session: Session) -> dict[str, str]:
-    """Return features by stream: the first of a kind has LeRobot's name, others their stream's."""
-    names = {}
+    """Return features by stream: the first of a kind has LeRobot's name, others their stream's.
+
+    Fingers of a hand have their own; the commands to it are LeRobot's action.
+    """
+    names, fingers = {}, session.attrs.get("fingers", {})
     for name, column in session.columns.items():
         if column in session.frames:
             image = session.streams[name].layout.image is not None
             own = f"observation.images.{name}" if image else f"observation.{name}"
-            names[name] = _NAMES.get(column, own)
+            own = "action" if session.streams[name].traits.kind == "action" else own
+            names[name] = own if name in fingers else _NAMES.get(column, own)
     return names
 
 
@@ -169,7 +174,11 @@ def features_of(session: Session) -> dict[str, Feature]:
     names = feature_names(session)
     for name in sorted(names, key=lambda name: [*_NAMES.values(), names[name]].index(names[name])):
         features[names[name]] = _feature(session.streams[name])
-    if _NAMES["pose"] in features:
+    for name, most in windows_of(session).items():
+        count = math.prod(session.streams[name].layout.columns[0].column.shape)
+        features[f"observation.{name}.window"] = Feature("float32", (most * count,))
+        features[f"observation.{name}.window_age"] = Feature("float32", (most,))
+    if _NAMES["pose"] in features and "action" not in features:
         features["action"] = Feature("float32", (6,), _POSE)
     number, real = Feature("int64"), Feature("float32")
     return features | {
@@ -180,6 +189,33 @@ def features_of(session: Session) -> dict[str, Feature]:
         "timestamp": real,
         **dict.fromkeys(("frame_index", "episode_index", "index", "task_index"), number),
     }
+
+
+def windows_of(session: Session) -> dict[str, int]:
+    """Return the most samples that each signal of numbers has between two frames, if several."""
+    rates = {
+        name: session.streams[name].rate_hz / session.rate_hz
+        for name in feature_names(session)
+        if "signal" in session.streams[name].traits.roles
+        and session.streams[name].layout.image is None
+    }
+    return {name: math.ceil(rate) + 1 for name, rate in rates.items() if rate > FASTER}
+
+
+def window(stream: Stream, rows: slice, ticks: Array, most: int) -> tuple[Array, Array]:
+    """Return the samples of rows of a run that arrived after the tick before, up to each tick.
+
+    They are the last `most` (n, most, ...), oldest first, and their ages (n, most) [s], after NaN
+    where there are fewer. `ticks` (n,) [ns] increase; the first has those of the time to the next.
+    """
+    times, values = stream.t_ns[rows], stream.array("value")[rows]
+    step = ticks[1] - ticks[0] if len(ticks) > 1 else 0
+    before = np.r_[ticks[0] - step, ticks[:-1]][:, None]
+    index = np.searchsorted(times, ticks, side="right")[:, None] + np.arange(-most, 0)
+    fresh = (index >= 0) & (times[index] > before)
+    ages = np.where(fresh, (ticks[:, None] - times[index]) * NS, np.nan)
+    shaped = fresh.reshape(*fresh.shape, *[1] * (values.ndim - 1))
+    return np.where(shaped, values[index], np.nan), ages
 
 
 def _feature(stream: Stream) -> Feature:
@@ -221,6 +257,8 @@ def task(session: Session) -> str:
     """Return the task text, with indenter and sensor."""
     indenter = session.attrs.get("indenter") or "unknown indenter"
     sensor = session.attrs.get("sensor") or "unknown sensor"
+    if "fingers" in session.attrs:
+        return f"squeeze {indenter} between the fingers of {sensor}"
     return f"press the {indenter} indenter into the {sensor} sensor and shear it"
 
 
@@ -369,7 +407,12 @@ def _columns(session: Session, press: RecordedPress, out: _Dataset) -> dict[str,
         "capture_ns": capture,
         "utc_ns": capture + utc_offset(session, press.run),
     }
-    if "action" in out.features:
+    for name, most in windows_of(session).items():
+        stream = session.streams[name]
+        values, ages = window(stream, session.rows_of_run(name, press.run), ticks, most)
+        columns[f"observation.{name}.window"] = values.reshape(len(rows), -1)
+        columns[f"observation.{name}.window_age"] = ages
+    if "action" in out.features and "action" not in feature_names(session).values():
         state = frames["pose"][rows]
         columns["action"] = np.concatenate([state[1:], state[-1:]])
     for name, feature in feature_names(session).items():
@@ -416,7 +459,7 @@ def _arrow(values: Any, kind: Feature) -> pa.Array:
         return pa.array(values, kind.arrow())
     array = np.ascontiguousarray(values, kind.dtype)
     if kind.shape == (1,):
-        return pa.array(array, kind.arrow())
+        return pa.array(array.reshape(-1), kind.arrow())
     return pa.FixedSizeListArray.from_arrays(pa.array(array.reshape(-1)), kind.shape[0])
 
 

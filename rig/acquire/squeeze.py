@@ -70,7 +70,7 @@ class Squeezing:
         self._action = StreamWriter.open(writer.stream_path("action"))
         self._signals = {name: Stream(writer.stream_path(name), live=True) for name in FINGERS}
         self._rest: dict[str, tuple[np.ndarray, float]] = {}
-        self._point, self._lost = -1, False
+        self._lost = False
         self.done = self.unsteady = 0
         """Steps that were held, and those of them that were not steady."""
         self.aloft = False
@@ -83,49 +83,47 @@ class Squeezing:
     def run(self, steps: list[SqueezeStep]) -> None:
         """Squeeze; release each object once it is supported."""
         for number, step in enumerate(steps):
-            if step.point != self._point:
-                self._begin(step)
             start_ns = self._clock.now_ns()
             self._go(self._width(step) - step.closing)
+            if step.step == 0:
+                self._hands.turn(step.turn)
             if step.lifted and not self.aloft:
                 self._hands.carry(True)
                 self.aloft = True
             self._wait(self._plan.settle)
             held_ns = self._clock.now_ns()
-            self._wait(self._plan.hold)
+            means = [row.name for row in self._bench.of_kind("taxels")] if not step.step else []
+            measured = self._streams.measure(self._plan.hold, *means) if means else {}
+            self._wait(0.0 if means else self._plan.hold)
             end_ns = self._clock.now_ns()
-            why = self._unsteady(held_ns, end_ns, step)
-            if why:
+            why = ""
+            if step.step == 0:
+                self._refer(step, measured, held_ns, end_ns)
+            elif why := self._unsteady(held_ns, end_ns, step):
                 self.unsteady += 1
                 logger.warning("step %d: not steady: %s; it is kept and marked", number + 1, why)
-            self._segment(number, "normal_inc", "unsteady" if why else "complete", start_ns, end_ns)
+            outcome = "unsteady" if why else "complete"
+            self._segment(number, "normal_inc", outcome, start_ns, end_ns)
             self.done += 1
-            if number + 1 == len(steps) or steps[number + 1].point != step.point:
+            if step.step == 0:
+                self._hands.place(step.object)
+            elif number + 1 == len(steps) or steps[number + 1].step == 0:
                 self._release(number, step)
 
     def _width(self, step: SqueezeStep) -> float:
         return self._bench.objects[step.object].width
 
-    def _begin(self, step: SqueezeStep) -> None:
-        """Turn the empty hand, take references, and place the object."""
-        self._point, self._lost = step.point, False
-        self._go(self._width(step) + self._plan.clearance)
-        self._hands.turn(step.turn)
-        self._wait(self._plan.settle)
-        start_ns = self._clock.now_ns()
-        means = [row.name for row in self._bench.of_kind("taxels")]
-        window = self._plan.hold
-        measured = self._streams.measure(window, *means) if means else {}
-        if not means:
-            self._wait(window)
-        end_ns = self._clock.now_ns()
+    def _refer(
+        self, step: SqueezeStep, measured: dict[str, Any], start_ns: int, end_ns: int
+    ) -> None:
+        """Store the reference of an object at its turn."""
+        self._lost = False
         self._writer.reference.append(
             **reference_columns(self._streams, measured), point=step.point, run=0, t_ns=end_ns
         )
         for name in FINGERS:
             first, last = self._parts(name, start_ns, end_ns)
             self._rest[name] = ((first + last) / 2, _rms(last - first))
-        self._hands.place(step.object)
 
     def _release(self, number: int, step: SqueezeStep) -> None:
         start_ns = self._clock.now_ns()

@@ -76,6 +76,8 @@ class LadderSurface:
     ) -> None:
         faces = faces or ((indenter, 1.0),)
         self._ladders = {face: ladder_of(spec, face) for face in dict(faces)}
+        for ladder in self._ladders.values():
+            ladder.fields  # noqa: B018, takes a while when it is first used
         self._spec, self._faces, self._points = spec, faces, points
         self._object = -1
         self._t_ns: int | None = None

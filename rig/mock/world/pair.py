@@ -19,14 +19,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rig.bench.pair import GraspObject, PairSpec
+from rig.bench.worlds import WorldSpec
 from rig.core.clock import SECOND_NS
 from rig.mock.world.sensors import ladder_of, ladder_press
 from rig.mock.world.views import Reading, reading_of
 
 if TYPE_CHECKING:
-    from sim.ladder import Ahead, LadderPress
+    from sim.ladder import Ahead, Ladder, LadderPress
 
-GRAVITY = 9.81
+GRAVITY = 9.80665
 # From the hand's y and z to x and y of each finger.
 _SIDES = np.array([[1.0, 1.0], [-1.0, 1.0]])
 # Way across the grip at which an object has left the skins [m].
@@ -60,6 +61,13 @@ class PairState:
     """True if the object has left the hand."""
 
 
+def _ready_ladder(spec: WorldSpec, face: str) -> "Ladder":
+    """Return the presses of a face on a skin, with the stiffness that takes a while to find."""
+    ladder = ladder_of(spec, face)
+    ladder.sideways  # noqa: B018
+    return ladder
+
+
 class PairWorld:
     """Two skins, and one object at a time between them.
 
@@ -72,7 +80,7 @@ class PairWorld:
         self._compliance = spec.compliance
         self._object: GraspObject | None = None
         self._presses: tuple[LadderPress, ...] = ()
-        self._ladder = cache(ladder_of)
+        self._ladder = cache(_ready_ladder)
         self._readings: dict[int, Reading] = {}
         self._t_ns: int | None = None
         self._clear()
