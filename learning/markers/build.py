@@ -33,8 +33,9 @@ def archive_sessions(
     Returns the number of frames made by this call, and lines of summary: frames, flags, omissions.
     The preset of marker detection, by default that of each sensor, the name of the sensor, and the
     size of a pixel [mm] replace those of sessions and preset. Of sessions of a hand, one `finger`
-    is read. `unseen` are indenters that models may not be trained on; `sam` refines masks of pictures; `irregular` markers have no regular
-    pattern, and are rejected otherwise. Progress is called with the frames made and the total.
+    is read. `unseen` are indenters that models may not be trained on; `sam` refines masks of
+    pictures; `irregular` markers have no regular pattern, and are rejected otherwise. Progress is
+    called with the frames made and the total.
     """
     one_thread()
     recordings, indenters = read_group(sessions, sensor, finger)

@@ -13,16 +13,19 @@ rate works. Faults are injected through rig.core.fault_injection, with these in 
 
 import contextlib
 import os
+import queue
 import select
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from rig.core.clock import SECOND_NS, Clock
-from rig.core.emulation import EmulatorConfig, Pty, PtyEmulator, Served, SharedWorld
+from rig.core.emulation import Pty, PtyEmulator, Served, SharedWorld
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
+from rig.core.playback import PlayableConfig, Playback
 from rig.core.samples import HAND_TRUTH
 from rig.core.shared_memory import SharedLatest
 from rig.devices.gripper import robotiq_wire as wire
@@ -182,6 +185,8 @@ class Fingers:
 
 # A pause this long ends a frame, as 3.5 characters do on a wire; a pty delivers in chunks [s].
 _GAP = 0.02
+# Questions of a driver before a playback starts.
+_BEFORE = 3
 
 
 class RobotiqEmulator(PtyEmulator):
@@ -197,9 +202,10 @@ class RobotiqEmulator(PtyEmulator):
         seed: int = 0,
         delay: float = 0.0,
         moved: Callable[[int, float], None] | None = None,
+        tape: "Tape | None" = None,
     ) -> None:
         super().__init__(link)
-        self._clock, self._delay, self._moved = clock, delay, moved
+        self._clock, self._delay, self._moved, self._tape = clock, delay, moved, tape
         self.fingers = fingers
         self.faults = FaultInjector[bytes](clock, spoil=corrupted_bytes, seed=seed)
         self.requests = 0
@@ -226,8 +232,10 @@ class RobotiqEmulator(PtyEmulator):
     def start(self) -> None:
         """Create the pty, serve, and tell a World how the fingers move."""
         super().start()
-        if self._moved is not None:
-            self._threads.append(threading.Thread(target=self._move, args=(self._moved,)))
+        more = [] if self._moved is None else [partial(self._move, self._moved)]
+        more += [] if self._tape is None else [partial(self._tape.run, self._ending)]
+        for target in more:
+            self._threads.append(threading.Thread(target=target))
             self._threads[-1].start()
 
     def _move(self, moved: Callable[[int, float], None]) -> None:
@@ -293,12 +301,51 @@ class RobotiqEmulator(PtyEmulator):
             return wire.emit_refusal(request, wire.ILLEGAL_ADDRESS)
         if request.count < 1:
             return wire.emit_refusal(request, wire.ILLEGAL_VALUE)
-        registers = wire.emit_status(self.fingers.status())
+        status = self.fingers.status() if self._tape is None else self._tape.next(self._ending)
+        if status is None:
+            return b"\0"  # wakes a driver that waits
+        registers = wire.emit_status(status)
         return wire.emit_reply(request, registers[first : first + request.count])
 
 
+class Tape:
+    """Recorded statuses, each for one question; the first is also for those before the start."""
+
+    def __init__(self, playback: Playback, device: HandConfig) -> None:
+        self._playback, self._device = playback, device
+        self._due: queue.SimpleQueue[int | None] = queue.SimpleQueue()
+        for _ in range(_BEFORE):
+            self._due.put(0)
+
+    def run(self, ending: threading.Event) -> None:
+        """Play the recording."""
+        self._playback.run(self._due.put, window=1, ending=ending, wake=lambda: self._due.put(None))
+
+    def next(self, ending: threading.Event) -> wire.GripperStatus | None:
+        """Return the next status once it is due; None at the end."""
+        place = None
+        while not ending.is_set():
+            with contextlib.suppress(queue.Empty):
+                place = self._due.get(timeout=_GAP)
+                break
+        if place is None:
+            return None
+        stream, row = self._playback.recorded.stream, self._playback.recorded.rows[place]
+        now = {name: stream.array(name)[row] for name in stream.names}
+        return wire.GripperStatus(
+            active=True,
+            going=True,
+            state=wire.ACTIVE,
+            object=int(now["object"]),
+            fault=int(now["fault"]),
+            requested=self._device.position(now["commanded"]),
+            position=self._device.position(now["value"]),
+            current=float(now["current"]),
+        )
+
+
 @dataclass(frozen=True, slots=True)
-class RobotiqEmulatorConfig(EmulatorConfig):
+class RobotiqEmulatorConfig(PlayableConfig):
     """Port and object of the emulated gripper."""
 
     device: HandConfig
@@ -314,6 +361,10 @@ def emulate(settings: RobotiqEmulatorConfig, clock: Clock) -> Served:
     """Return the emulated gripper, with the object at `object_mock` of its device."""
     device, hand = settings.device, settings.hand
     moved: Callable[[int, float], None] | None = None
+    if (playback := settings.playback(clock)) is not None:
+        made = playback.recorded.stream.attrs["device"]
+        device = replace(device, **{key: made[key] for key in ("slave", "per_count", "closed")})
+    tape = None if playback is None else Tape(playback, device)
     if hand is None:
         fingers = Fingers(clock, object_at=device.object_mock, holding=settings.holding)
     else:
@@ -336,5 +387,6 @@ def emulate(settings: RobotiqEmulatorConfig, clock: Clock) -> Served:
         seed=settings.seed,
         delay=settings.delay,
         moved=moved,
+        tape=tape,
     )
     return Served("gripper", emulator, emulator.inject)
