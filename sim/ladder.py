@@ -539,12 +539,8 @@ class LadderPress:
         ladder, (factor, held) = self._ladder, self._ahead(seconds)
         spring = factor * ladder.on_body(self.tip) * ladder.spring
         side = factor * self._elastic[:, :2] + held[:, :2]
-        return Ahead(ladder, spring, held[:, 2], side, factor * ladder.sideways)
-
-    @property
-    def friction(self) -> float:
-        """Coulomb's coefficient."""
-        return self._friction
+        stiffness = factor * ladder.sideways
+        return Ahead(ladder, spring, held[:, 2], self._friction, side, stiffness)
 
     @property
     def stuck(self) -> Array:
@@ -636,6 +632,8 @@ class Ahead:
     _ladder: Ladder
     _spring: Array
     _rest: Array
+    friction: float
+    """Coulomb's coefficient."""
     side: Array
     """Side force of each spring at rest, not limited by friction (n, 2) [N]."""
     stiffness: Array

@@ -2,27 +2,27 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
+
+from trajectories.plans import check_positive
 
 Vector = tuple[float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
-class SqueezeStep:
-    """One step: close, settle, hold."""
+class SqueezeStep(NamedTuple):
+    """One step: close, settle, hold.
+
+    Step 0 is open and empty, for the reference of a `point`, the number of an object at a turn.
+    `turn` is gravity's unit vector in the frame of the hand; `closing` is the object's width less
+    the opening [m]; `lifted` is True if only the fingers carry the object.
+    """
 
     point: int
-    """Number of the object at its turn; each has its own reference."""
     object: int
-    """Number of the object."""
     turn: Vector
-    """Unit vector of gravity in the frame of the hand."""
     step: int
-    """Number of the step; 0: open and empty, for the reference."""
     closing: float
-    """Object's width less the opening [m]."""
     lifted: bool
-    """True if only the fingers carry the object."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class Squeeze:
     """Steps of a squeeze."""
     step: float = field(default=0.37e-3, metadata={"unit": "mm", "plausible": (0.01, 5)})
     """Closing of each step [m]."""
-    lift: int = 2
+    lift: int = 3
     """Step from which only the fingers carry the object; 0: never."""
     clearance: float = field(default=4e-3, metadata={"unit": "mm", "plausible": (0.5, 40)})
     """Opening over the object's width before and after a squeeze [m]."""
@@ -52,12 +52,10 @@ class Squeeze:
     """Time of each sample [s]."""
 
     def __post_init__(self) -> None:
+        check_positive(self, ("step", "clearance", "settle", "hold"))
         for turn in self.turns:
             if abs(sum(part**2 for part in turn) - 1) > 1e-3:
                 raise ValueError(f"turns: found {list(turn)}; allowed: unit vectors")
-        for name in ("step", "clearance", "settle", "hold"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name}: {getattr(self, name)!r}; allowed: above 0")
         if self.steps < 1 or not 0 <= self.lift <= self.steps or not self.turns:
             raise ValueError("steps, lift, turns: allowed: 1 or more, 0 to steps, one or more")
 

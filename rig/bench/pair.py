@@ -117,16 +117,15 @@ class PairBench(StreamBench):
             raise ValueError(f"fingers: found {', '.join(self.fingers)}; allowed: left, right")
         if self.mock != all(finger.world is not None for finger in self.fingers.values()):
             raise ValueError("mock: allowed: true with sensors of mock benches")
-        if not self.objects:
-            raise ValueError("objects: found none; allowed: one or more")
         most = sum(finger.depth_max for finger in self.fingers.values())
         if self.squeeze.deepest > most:
             raise ValueError(
                 f"squeeze: closes by {1e3 * self.squeeze.deepest:g} mm; allowed: up to "
                 f"{1e3 * most:g} mm, the depths of both sensors"
             )
-        if len({each.name for each in self.objects}) < len(self.objects):
-            raise ValueError("objects: found a name twice; allowed: each once")
+        names = [each.name for each in self.objects]
+        if not names or len({*names}) < len(names):
+            raise ValueError(f"objects: found {names}; allowed: one or more, each name once")
 
     @property
     def rows(self) -> tuple[BenchStream, ...]:
@@ -152,13 +151,8 @@ class PairFile:
         return cls(path, content, bench)
 
     @classmethod
-    def read(cls, path: Path) -> Self:
-        """Read a bench file, with the settings of each finger from the file of its sensor.
-
-        Raises:
-            ConfigError: A key or a value is invalid.
-        """
-        content = read_content(path)
+    def of_sensors(cls, content: dict[str, Any], path: Path) -> Self:
+        """Build the bench of a content as read from YAML, whose fingers name their sensors."""
         fingers = content.get("fingers")
         if not isinstance(fingers, dict):
             raise ConfigError(f"{path}.fingers: found {fingers!r}; allowed: left and right")

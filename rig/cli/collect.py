@@ -63,8 +63,8 @@ def run(options: argparse.Namespace) -> int:
         )
     if options.again and not options.resume:
         raise ConfigError("--again: goes with --resume only")
-    if options.resume is None and "fingers" in read_content(path := bench_path(options)):
-        return squeeze.run(options, path)
+    if options.resume is None and "fingers" in (content := read_content(bench_path(options))):
+        return squeeze.run(options, content, bench_path(options))
     recording = recording_of(options)
     sources = sources_of(options, recording.file)
     if not recording.bench.mock and options.truth:

@@ -296,44 +296,39 @@ class MockHand(ProcessGroup):
 
     def _start(self) -> None:
         content, bench, folder = self.file.content, self.file.bench, self._folder
-        hand, host = folder / HAND_FILE, self.hosts["left"]
-        SharedLatest.create(hand, HAND_TRUTH).close()
+        SharedLatest.create(folder / HAND_FILE, HAND_TRUTH).close()
         worlds = {name: each["world"] for name, each in content["fingers"].items()}
         world = {
             "pair": {**worlds, "compliance": bench.compliance},
             "objects": content["objects"],
             "folder": str(folder),
             "truth": self._truth and str(self._truth),
-            "host": host,
-            "fault_port": PORTS["world"],
         }
-        left = str(folder / "left.state")
         gripper = {
             "device": content["gripper"],
-            "hand": str(hand),
-            "world": left,
+            "hand": str(folder / HAND_FILE),
+            "world": str(folder / "left.state"),
             "delay_ms": _MODBUS_MS,
-            "host": host,
-            "fault_port": PORTS["gripper"],
         }
         documents = {"world": ("hand", world), "gripper": (bench.gripper.KIND, gripper)}
+        for name, (_, settings) in documents.items():
+            settings |= {"host": self.hosts["left"], "fault_port": PORTS[name]}
         for side, (name, finger) in enumerate(bench.fingers.items()):
             SharedLatest.create(folder / f"{name}.state", WORLD_STATE).close()
-            view = folder / f"{name}-view.json"
+            view, kind = folder / f"{name}-view.json", finger.device.STREAM
             faces = [[each.faces[side], each.friction] for each in bench.objects]
             of_view = {"world": worlds[name], "contact_frame": _NOWHERE, "folder": str(folder)}
             view.write_text(json.dumps({**of_view, "faces": faces}))
             noise = (finger.world and finger.world.noise) or Noise()
-            kind = finger.device.STREAM
-            settings = {
+            more = {"noise": noise.counts} if kind == "taxels" else {}
+            device = {
                 "device": content["fingers"][name]["device"],
                 "host": self.hosts[name],
                 "world": str(folder / f"{name}.state"),
                 "view": str(view),
                 "fault_port": PORTS[kind],
-                **({"noise": noise.counts} if kind == "taxels" else {}),
             }
-            documents[name] = (finger.device.KIND, settings)
+            documents[name] = (finger.device.KIND, device | more)
         self._launch(documents)
 
 

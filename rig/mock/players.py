@@ -68,13 +68,7 @@ class Players(ProcessGroup):
     def _start(self) -> None:
         self._launch(
             {
-                name: (
-                    emulator,
-                    {
-                        **({"device": {"port": host}} if _is_port(host) else {"host": host}),
-                        "recording": {**self._recording, "stream": name},
-                    },
-                )
+                name: (emulator, {**_at(host), "recording": {**self._recording, "stream": name}})
                 for name, (emulator, host) in self._emulators.items()
             }
         )
@@ -138,8 +132,9 @@ def playback_hosts(session: Session, names: tuple[str, ...], folder: Path) -> di
     return hosts
 
 
-def _is_port(host: str) -> bool:
-    return "/" in host
+def _at(host: str) -> dict[str, Any]:
+    """Return the settings of an emulator at a loopback address or a serial port."""
+    return {"device": {"port": host}} if "/" in host else {"host": host}
 
 
 def replay_bench(
@@ -149,7 +144,7 @@ def replay_bench(
     attrs = session.attrs
     devices = {name: _device(session, name, hosts[name], speed) for name in names}
     # A lab bench needs an arm and an F/T sensor; those of a replay may never be opened.
-    unused = next(host for host in [*hosts.values(), "127.0.0.1"] if not _is_port(host))
+    unused = next((host for host in hosts.values() if "/" not in host), "127.0.0.1")
     pose = devices.pop("pose", None)
     host, rate_hz = (unused, 500.0) if pose is None else (pose.host, pose.rate_hz)
     return Bench(

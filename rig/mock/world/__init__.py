@@ -63,7 +63,7 @@ def load_view(path: Path, kind: str = "camera") -> Callable[[np.void], np.ndarra
         return _counts(settings)
     reading = reading_of(settings.world, kind)
     surface = settings.surface(reading.points)
-    return lambda state: reading(surface(state), int(state["t_ns"]))
+    return lambda state: reading.read(surface(state), int(state["t_ns"]))
 
 
 def _counts(settings: WorldConfig) -> Callable[[np.void], np.ndarray]:

@@ -32,7 +32,6 @@ class HandWorldConfig:
     truth: Path | None = None
     """Folder to log every state to, in `left` and `right`; None: none."""
     host: str = "127.0.0.1"
-    """Loopback address of the fault port."""
     fault_port: int | None = None
     """Port for the hands of an operator; None: none."""
 
@@ -43,43 +42,35 @@ class HandHost(Emulator):
     def __init__(self, settings: HandWorldConfig) -> None:
         super().__init__()
         self._world, self._objects = PairWorld(settings.pair), settings.objects
-        for each in settings.objects:
+        for each in (*settings.objects, None):
             self._world.place(each)
-        self._world.place(None)
         self._number, self._down, self._lifted = 0, (0.0, 0.0, 1.0), False
-        self._placed: int | None = None
-        self._placing = False
-        self._hand = SharedLatest.attach(settings.folder / HAND_FILE, HAND_TRUTH)
-        paths = {name: settings.folder / f"{name}.state" for name in FINGERS}
-        self._states = [SharedLatest.attach(p, WORLD_STATE, writable=True) for p in paths.values()]
-        truth = settings.truth
+        self._orders: list[int | None] = []
+        folder, truth = settings.folder, settings.truth
+        self._hand = SharedLatest.attach(folder / HAND_FILE, HAND_TRUTH)
+        self._states = [
+            SharedLatest.attach(folder / f"{name}.state", WORLD_STATE, writable=True)
+            for name in FINGERS
+        ]
         if truth is not None:
             truth.mkdir(parents=True, exist_ok=True)
-        self._truth = [TruthLog(truth / name) for name in FINGERS] if truth is not None else []
-        self.last: PairState | None = None
-        """Newest state."""
+        self._truth = [] if truth is None else [TruthLog(truth / name) for name in FINGERS]
 
     def start(self) -> None:
         """Follow the hand from now on."""
         self._run_threads(self._run)
 
     def apply(self, fault: str, **values: Any) -> dict[str, Any]:
-        """Act as the hands of an operator; see `FaultPort`.
-
-        place  number           put this object between the fingers; null: none
-        turn   down             (3,), gravity's unit vector in the frame of the hand
-        carry  lifted           True: only the fingers carry the object
-        """
+        """Act as the operator's hands, as `rig.acquire.squeeze.Hands` says; see `FaultPort`."""
         if fault == "place":
-            self._placed, self._placing = values["number"], True
+            self._orders.append(values["number"])
         elif fault == "turn":
             self._down = tuple(np.reshape(values["down"], 3).tolist())
         elif fault == "carry":
             self._lifted = bool(values["lifted"])
-        elif fault != "state":
-            raise ValueError(f"fault: found {fault!r}; known: place, turn, carry, state")
-        last = self.last
-        return {} if last is None else {"dropped": last.dropped, "slip": last.slip.tolist()}
+        else:
+            raise ValueError(f"fault: found {fault!r}; known: place, turn, carry")
+        return {}
 
     def _release(self) -> None:
         for log in self._truth:
@@ -88,21 +79,18 @@ class HandHost(Emulator):
     def _run(self) -> None:
         clock, count = SystemClock(), self._hand.count
         while not self._ending.is_set():
-            if (newest := self._hand.count) == count:
+            record = self._hand.read()
+            if record is None or (newest := self._hand.count) == count:
                 clock.sleep_until(clock.now_ns() + _POLL_NS)
                 continue
             self.missed += max(newest - count - 1, 0)
-            count, record = newest, self._hand.read()
-            if record is None:
-                continue
-            if self._placing:
-                self._placing = False
-                self._number = self._placed or 0
-                placed = None if self._placed is None else self._objects[self._placed]
-                self._world.place(placed)
+            count = newest
+            while self._orders:
+                number = self._orders.pop(0)
+                self._number = number or 0
+                self._world.place(None if number is None else self._objects[number])
             opening, t_ns = float(record["opening"]), int(record["t_ns"])
-            self.last = self._world.step(t_ns, opening, self._down, self._lifted)
-            self._publish(self.last)
+            self._publish(self._world.step(t_ns, opening, self._down, self._lifted))
 
     def _publish(self, pair: PairState) -> None:
         for side, states in enumerate(self._states):

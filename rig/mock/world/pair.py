@@ -126,9 +126,7 @@ class PairWorld:
         normal = self._balance(ahead, overlap, float(weight[0]))
         way = np.zeros(2)
         if lifted and seconds:
-            limits = [
-                one * press.friction for one, press in zip(normal, self._presses, strict=True)
-            ]
+            limits = [each * one.friction for each, one in zip(normal, ahead, strict=True)]
             way = self._hang(ahead, np.concatenate(limits), mass, weight[1:], seconds)
         self._speed = way / (seconds or 1.0)
         self._way = self._way + way
@@ -231,4 +229,4 @@ class PairWorld:
         moved = (
             presses[side].markers(reading.points) if presses else np.zeros((len(reading.points), 3))
         )
-        return reading(moved, self._t_ns or 0)
+        return reading.read(moved, self._t_ns or 0)

@@ -1,6 +1,7 @@
 """Readings of a sensor of a World: pictures of its markers, or raw counts of its taxels."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,21 +11,18 @@ from rig.mock.world.picture import MarkerPicture
 from rig.mock.world.sensors import markers_of, pad_of, taxels_of
 
 
-class Reading:
-    """Function of the displacement (n, 3) [m] of a skin's points (n, 2) [m] at a time [ns]."""
+class Reading(NamedTuple):
+    """Points of a skin (n, 2) [m], and a function of their displacement (n, 3) [m] and a time [ns].
 
-    def __init__(self, points: np.ndarray, read: Callable[[np.ndarray, int], np.ndarray]) -> None:
-        self.points = points
-        """Points of the undeformed skin (n, 2) [m]."""
-        self._read = read
+    It returns RGB (480, 640, 3) uint8, or raw counts (taxels, 3) before noise.
+    """
 
-    def __call__(self, moved: np.ndarray, t_ns: int) -> np.ndarray:
-        """Return RGB (480, 640, 3) uint8, or raw counts (taxels, 3) before noise."""
-        return self._read(moved, t_ns)
+    points: np.ndarray
+    read: Callable[[np.ndarray, int], np.ndarray]
 
 
 def reading_of(spec: WorldSpec, kind: str = "") -> Reading:
-    """Return the reading of a World's sensor, of `kind` camera or taxels; empty: what it has.
+    """Return the reading of a World's sensor, of `kind` camera or taxels; empty: as the row has.
 
     Raises:
         ConfigError: The sensor is unknown or of the other kind, or the simulator is not installed.
@@ -32,12 +30,9 @@ def reading_of(spec: WorldSpec, kind: str = "") -> Reading:
     if (kind or ("taxels" if taxels_of(spec)[0] else "camera")) == "taxels":
         points, counts = pad_of(spec)
         return Reading(points, lambda moved, _: counts(moved))
-    markers, exposure = markers_of(spec), Exposure(spec.lab)
+    markers, exposure, grey = markers_of(spec), Exposure(spec.lab), (spec.noise or Noise()).grey
     picture = MarkerPicture(
-        background=spec.background,
-        ink=spec.ink,
-        light=spec.light,
-        grey_noise=(spec.noise or Noise()).grey,
+        background=spec.background, ink=spec.ink, light=spec.light, grey_noise=grey
     )
     return Reading(
         markers.points,
