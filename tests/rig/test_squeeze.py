@@ -1,4 +1,4 @@
-"""Squeezes of a hand: bench file, plan, what the gripper is told, and that it never opens aloft."""
+"""Squeezes of a hand: bench file, plan, commands to the gripper, and that it never opens aloft."""
 
 import contextlib
 from collections.abc import Iterator

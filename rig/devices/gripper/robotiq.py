@@ -384,7 +384,8 @@ class GripperStream(ReceivingDriver):
             return
         self._waits = 0
         if status.state != wire.ACTIVE:
-            raise DeviceLost(f"{self._where}: {status.text}; activate it first: tactile grip")
+            cure = "activate it, which closes the fingers, before sensors are on them"
+            raise DeviceLost(f"{self._where}: {status.text}; {cure}")
         self._inbox.put(
             {
                 "value": config.opening(status.position),

@@ -25,7 +25,7 @@ from rig.mock.world.sensors import ladder_of, ladder_press
 from rig.mock.world.views import Reading, reading_of
 
 if TYPE_CHECKING:
-    from sim.ladder import Ahead, Ladder, LadderPress
+    from rig.mock.world.sensors import Ahead, Ladder, LadderPress
 
 GRAVITY = 9.80665
 # From the hand's y and z to x and y of each finger.

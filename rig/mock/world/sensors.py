@@ -15,7 +15,8 @@ from rig.bench.worlds import WorldSpec
 from rig.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from sim.ladder import Ladder
+    from sim.ladder import Ahead as Ahead
+    from sim.ladder import Ladder as Ladder
     from sim.ladder import LadderPress as LadderPress
     from sim.sensors import SimulatedSensor
     from sim.stream import LiveMarkers, Sampler
