@@ -458,12 +458,7 @@ def gripper_spec(rate_hz: float, *, name: str = "gripper", **attrs: Any) -> Stre
         Column("value", "float64", units="m", description="opening, in steps of one count"),
         Column("commanded", "float64", units="m", description="opening that was requested"),
         Column("current", "float64", units="A", description="motor current"),
-        Column(
-            "object",
-            "int8",
-            units="1",
-            description="0 moving, 1 stopped opening, 2 stopped closing, 3 at the position",
-        ),
+        Column("object", "int8", units="1", description="0 moving, 1 or 2 stopped, 3 at position"),
         Column("fault", "int16", units="1", description="the device's fault code; 0: none"),
         _T_NS,
     )

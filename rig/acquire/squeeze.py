@@ -33,8 +33,9 @@ _PICTURES = 4
 # Change of a signal over that at rest which is motion or contact, and the least one [grey levels or
 # counts].
 _MOVES, _LEAST = 3.0, {"camera": 0.3, "taxels": 2.0}
-# Time until the gripper rests, and between two looks [s].
+# Time until the gripper rests, and between two looks [s]; its object detection then.
 _RESTS, _LOOK = 10.0, 0.02
+_AT_REST = (AT_POSITION, STOPPED_CLOSING)
 
 # Hands of the operator, or those of a mock's World: "turn" the empty hand until gravity points
 # along `down` (3,) in its frame; "place" the object `number` between the fingers, None: take it
@@ -119,9 +120,9 @@ class Squeezing:
         gripper.command(*command.values())
         for _ in range(round(_RESTS / _LOOK)):
             self._wait(_LOOK)
-            latest = gripper.latest()
-            heard = latest is not None and abs(latest["commanded"] - opening) < config.per_count / 2
-            if latest is not None and heard and latest["object"] in (AT_POSITION, STOPPED_CLOSING):
+            if (latest := gripper.latest()) is None or latest["object"] not in _AT_REST:
+                continue
+            if abs(latest["commanded"] - opening) < config.per_count / 2:
                 return
         raise DeviceLost(f"gripper: not at {1e3 * opening:.2f} mm after {_RESTS:g} s")
 
@@ -141,8 +142,8 @@ class Squeezing:
         for name in FINGERS:
             first, last = self._parts(name, start_ns, end_ns)
             self._rest[name] = (first + last) / 2, _rms(last - first)
-        measured = {name: {"mean": rest} for name, (rest, _) in self._rest.items()}
-        columns = reference_columns(self._streams, measured)
+        means = {name: {"mean": rest} for name, (rest, _) in self._rest.items()}
+        columns = reference_columns(self._streams, means)
         self._writer.reference.append(**columns, point=point, run=0, t_ns=end_ns)
 
     def _unsteady(self, start_ns: int, end_ns: int, step: SqueezeStep) -> str:
@@ -197,9 +198,6 @@ def collect_squeezes(
 
     `folder` is for shared records, `path` the session, `most` the number of steps to record, None
     for all; `watch` raises if an emulator is gone.
-
-    Raises:
-        SessionError: The session could not be created or finished.
     """
     bench = file.bench
     steps = list(bench.squeeze.targets(len(bench.objects)))[:most]
@@ -207,15 +205,9 @@ def collect_squeezes(
     with InterruptFlag() as interrupt, Streams(bench, folder, SystemClock(), watch) as streams:
         description, rates = check_devices(streams)
         interrupt.check()
-        begun = {
-            **asdict(ClockAnchor.take()),
-            "operator": operator_name(operator),
-            "rates_hz": rates,
-            "notes": notes_on(description, FINGERS, ()),
-            "states": states_of(description),
-            "bench": file.content,
-            "devices": description,
-        }
+        begun = {**asdict(ClockAnchor.take()), "operator": operator_name(operator)}
+        begun |= {"rates_hz": rates, "notes": notes_on(description, FINGERS, ())}
+        begun |= {"states": states_of(description), "bench": file.content, "devices": description}
         writer = session_of(file, path, steps, begun)
         writer.begin_run(begun)
         squeezing = Squeezing(bench, streams, writer, hands, interrupt)
@@ -238,18 +230,14 @@ def collect_squeezes(
     show_session(path, summaries)
     of = f"{done} of {len(steps)} steps, {squeezing.unsteady} not steady"
     print(f"{status}: {of}; {path}" + f" ({reason})" * bool(reason))
-    if stop is None:
-        return EXIT_DONE
-    return next(code for kind, code in EXIT_CODES.items() if isinstance(stop, kind))
+    codes = (code for kind, code in EXIT_CODES.items() if isinstance(stop, kind))
+    return next(codes, EXIT_DONE)
 
 
 def session_of(
     file: PairFile, path: Path, steps: list[SqueezeStep], begun: dict[str, Any]
 ) -> SessionWriter:
-    """Create the session of some steps, with a row of `targets` for each.
-
-    `begun` is the entry of its first run.
-    """
+    """Create the session of some steps, a row of `targets` each; `begun` is its first run."""
     bench = file.bench
     names = [each.name for each in bench.objects]
     attrs = {

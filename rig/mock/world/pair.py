@@ -32,12 +32,12 @@ GRAVITY = 9.80665
 _SIDES = np.array([[1.0, 1.0], [-1.0, 1.0]])
 # Way across the grip at which an object has left the skins [m].
 _LOST = 6e-3
-# Error of the balance along the grip [N]; longest way of a step of its search [m].
-_BALANCED, _STRIDE = 1e-5, 2e-4
+# Error of the balance along the grip, and across it [N]; longest way of a step of its search [m].
+_BALANCED, _HUNG, _STRIDE = 1e-5, 1e-7, 2e-4
 # Way over which the slope of a normal force is taken [m], and its least value [N/m].
 _SLOPE, _SOFT = np.array([0.0, 1e-6]), 1.0
 # Most steps of a search.
-_STEPS = 40
+_STEPS = 80
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,21 +179,27 @@ class PairWorld:
         start = np.concatenate([one.side * to for one, to in zip(ahead, _SIDES, strict=True)])
         stiff = np.concatenate([one.stiffness for one in ahead])
         inertia = mass / seconds**2
-        coast = way = self._speed * seconds
+        coast, way, size = self._speed * seconds, np.zeros(2), math.inf
+        last = rest = way
         for _ in range(_STEPS):
             trial = start + stiff * way
             length = np.maximum(np.hypot(trial[:, 0], trial[:, 1]), 1e-30)
             scale = np.minimum(limit / length, 1.0)[:, None]
             miss = inertia * (way - coast) - weight + (scale * trial).sum(axis=0)
-            if abs(miss[0]) + abs(miss[1]) < _BALANCED * 1e-2:
+            now = math.hypot(*miss)
+            if now >= size:
+                # As if nothing slid: a shorter step, which always leads nearer.
+                way = last - rest / (inertia + stiff.sum(axis=0))
+                continue
+            size, last, rest = now, way, miss
+            if size < _HUNG:
                 break
             # Tangent: a spring whose slider moves resists only across its own force.
             along, resists = trial / length[:, None] * (scale < 1), scale * stiff
             (a, b), (c, d) = np.diag(inertia + resists.sum(axis=0)) - along.T @ (along * resists)
-            way = way - np.array([d * miss[0] - b * miss[1], a * miss[1] - c * miss[0]]) / (
-                a * d - b * c
-            )
-        return way
+            newton = np.array([d * miss[0] - b * miss[1], a * miss[1] - c * miss[0]])
+            way = way - newton / (a * d - b * c)
+        return last
 
     def _state(self) -> PairState:
         wrench, tips, shear = np.zeros((2, 6)), np.zeros((2, 3)), np.zeros((2, 2))
