@@ -72,6 +72,7 @@ class Squeezing:
     def run(self, steps: list[SqueezeStep]) -> None:
         """Squeeze each object, and release it once it is supported."""
         plan = self._bench.squeeze
+        self._hands("carry", lifted=False)  # the fingers may hold one from before
         for number, step in enumerate(steps):
             start_ns = self._clock.now_ns()
             self._go(self._bench.objects[step.object].width - step.closing)

@@ -71,7 +71,7 @@ def _ask(
     text = {
         "turn": f"turn the empty hand: gravity along {', '.join(f'{x:g}' for x in down)} (x, y, z)",
         "place": held,
-        "carry": let_go if lifted else "support the object",
+        "carry": let_go if lifted else "support what the fingers hold, if anything",
     }[what]
     if answer(f"{text}; Enter: ") is None:
         raise ConfigError("no terminal to ask on; allowed: a terminal at the bench")

@@ -81,6 +81,8 @@ def test_mcap_has_every_command_and_both_fingers(path: Path, tmp_path: Path) -> 
 
 def test_each_finger_has_an_archive_that_knows_its_squeezes(path: Path, tmp_path: Path) -> None:
     session = Session(path)
+    with pytest.raises(LearningError, match="allowed: --finger left or right"):
+        archive_sessions([path], tmp_path / "x.markers.zarr")
     for finger in ("left", "right"):
         out = tmp_path / f"{finger}.markers.zarr"
         archive_sessions([path], out, finger=finger)
@@ -100,8 +102,3 @@ def test_each_finger_has_an_archive_that_knows_its_squeezes(path: Path, tmp_path
         still = sum(source["still"] for source in sources)
         assert still == pytest.approx(11 * PLAN.hold * 30, abs=11)
         assert sensor.masks(slice(0, 3)).any()
-
-
-def test_a_session_of_a_hand_needs_a_finger_and_no_other_has_one(path: Path) -> None:
-    with pytest.raises(LearningError, match="allowed: --finger left or right"):
-        archive_sessions([path], path.parent / "x.markers.zarr")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from recorder.session import SessionWriter, StreamWriter
+from recorder.session import StreamWriter
 from rig.acquire.squeeze import session_of
 from rig.bench.bench import read_content
 from rig.bench.pair import PairFile
@@ -76,10 +76,5 @@ def hand_session(path: Path) -> Path:
             fixed = {"image": -1, "wrench": np.full(6, np.nan), "wrench_std": np.full(6, np.nan)}
             more = {"taxels": rest, "right": rest, "point": step.point, "run": 0, "t_ns": last}
             writer.reference.append(**fixed, **more)
-    _finish(writer, bench.rate_hz)
+    writer.finish("complete", rate_hz=bench.rate_hz)
     return path
-
-
-def _finish(writer: SessionWriter, rate_hz: float) -> None:
-    writer.set_attrs(summary={}, targets_done=12)
-    writer.finish("complete", rate_hz=rate_hz)
