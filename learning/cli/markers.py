@@ -67,11 +67,8 @@ def run(options: argparse.Namespace) -> int:
         from learning.markers.recording import read_group
         from learning.markers.sheet import draw_sheet
 
-        draw_sheet(
-            options.out,
-            read_group(options.sessions, options.sensor, options.finger)[0],
-            options.sheet,
-        )
+        recordings, _ = read_group(options.sessions, options.sensor, options.finger)
+        draw_sheet(options.out, recordings, options.sheet)
         print(f"{options.sheet}: written")
     print(f"{options.out}: {frames:,} frames made")
     return 0

@@ -47,10 +47,8 @@ class Recording:
     """Index into `references` of each row (n,)."""
     omitted: tuple[str, ...]
     """Descriptions of the session's frames that are not in `rows`."""
-    signal: str = ""
-    """Stream that is read; empty: the first of its kind."""
     finger: str = ""
-    """Finger of a hand that the sensor is; empty: it is none."""
+    """Stream of the finger of a hand that is read; empty: the first of its kind."""
     first_target: int = 0
     """Number of its first target within the indenter, in an archive."""
     first_location: int | None = None
@@ -88,7 +86,7 @@ class Recording:
     @property
     def camera(self) -> Stream:
         """Its first camera, whose images the column `image` of `frames` numbers."""
-        name = self.signal or self.session.first("camera")
+        name = self.finger or self.session.first("camera")
         if name is None:
             raise LearningError(f"{self.name}: has no camera")
         return self.session.streams[name]
@@ -106,7 +104,7 @@ class Recording:
     def shown(self) -> str:
         """Column of `frames` and `reference` with its images or taxels."""
         first = "image" if self.kind == "camera" else "taxels"
-        return self.session.columns[self.signal] if self.signal else first
+        return self.session.columns[self.finger] if self.finger else first
 
     def places(self) -> NDArray[np.int64]:
         """Return the number within the session of each row's place (n,): target, or squeeze."""
@@ -120,11 +118,8 @@ class Recording:
         targets, segments = self.session.targets, self.session.segments
         times, still = self.column("t_ns"), np.zeros(len(self), np.bool_)
         hold = round(1e9 * float(self.session.attrs["plan"]["hold"]))
-        for end, phase, outcome in zip(
-            *(segments[name] for name in ("end_ns", "phase", "outcome")), strict=True
-        ):
-            if phase == 0 and outcome == 0:
-                still |= (times >= end - hold) & (times < end)
+        for end in segments["end_ns"][(segments["phase"] == 0) & (segments["outcome"] == 0)]:
+            still |= (times >= end - hold) & (times < end)
         return [
             {
                 "mass": float(targets["mass"][of] * targets["lifted"][of]),
@@ -237,7 +232,6 @@ def read_recording(path: Path, sensor: str | None = None, finger: str = "") -> R
         references=references,
         reference=reference,
         omitted=tuple(omitted),
-        signal=finger,
         finger=finger,
     )
 

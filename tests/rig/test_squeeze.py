@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from support.collecting import faults_of
 from support.drivers import running
-from support.hands import PLAN, pair_file
+from support.hands import STEPS, begun_session, pads
 from support.waiting import until
 
 from benchmarks.fake_clock import FakeClock
 from recorder.session import Session
-from rig.acquire.squeeze import Squeezing, session_of
+from rig.acquire.squeeze import Squeezing
 from rig.bench.bench import read_content
 from rig.bench.pair import PairFile
 from rig.core.clock import SystemClock
@@ -66,7 +66,7 @@ class FakeHand:
     """Streams, gripper and hands; `lose_at` is the command at which the gripper is lost."""
 
     def __init__(self, lose_at: int = 1000) -> None:
-        self.bench, self.log, self.lose_at = pair_file().bench, [], lose_at
+        self.bench, self.log, self.lose_at = pads().bench, [], lose_at
         self.commands = 0
 
     def __getitem__(self, name: str) -> Any:
@@ -104,14 +104,8 @@ class Made(Squeezing):
 
 @contextlib.contextmanager
 def squeezing(path: Path, hand: FakeHand) -> Iterator[Made]:
-    file = pair_file()
-    begun = {"utc_ns": 0, "t0_ns": 0, "operator": "", "utc": "", "boot_id": ""}
-    gripper = {"per_count": 1.0, "closed": 1}
-    devices = {"left": {}, "right": {}, "gripper": gripper}
-    steps = list(PLAN.targets(2))
-    writer = session_of(file, path, steps, {**begun, "devices": devices})
-    writer.begin_run({**begun, "devices": devices})
-    made = Made(file.bench, hand, writer, hand.hands, SimpleNamespace(check=lambda: None))  # type: ignore[arg-type]
+    writer, interrupt = begun_session(path), SimpleNamespace(check=lambda: None)
+    made = Made(pads().bench, hand, writer, hand.hands, interrupt)  # type: ignore[arg-type]
     try:
         yield made
     finally:
@@ -122,7 +116,7 @@ def squeezing(path: Path, hand: FakeHand) -> Iterator[Made]:
 def test_the_hand_opens_only_once_somebody_carries_the_object(tmp_path: Path) -> None:
     hand = FakeHand()
     with squeezing(tmp_path / "s.zarr", hand) as made:
-        made.run(list(PLAN.targets(1))[:3])
+        made.run(STEPS[:3])
         assert not made.aloft
     opened, first, second, released = (entry for entry in hand.log if isinstance(entry, float))
     assert opened == released > first > second
@@ -134,7 +128,7 @@ def test_the_hand_opens_only_once_somebody_carries_the_object(tmp_path: Path) ->
 def test_a_lost_gripper_aloft_stays_closed(tmp_path: Path) -> None:
     hand = FakeHand(lose_at=3)
     with squeezing(tmp_path / "s.zarr", hand) as made, pytest.raises(DeviceLost):
-        made.run(list(PLAN.targets(1)))
+        made.run(STEPS[:6])
     sent = [entry for entry in hand.log if isinstance(entry, float)]
     assert sent == sorted(sent, reverse=True)
     assert False not in hand.log[1:]
@@ -146,10 +140,9 @@ def test_a_hold_that_moves_or_touches_nothing_is_kept_and_marked(
 ) -> None:
     hand = FakeHand()
     with squeezing(tmp_path / "s.zarr", hand) as made:
-        steps = list(PLAN.targets(1))[:3]
-        made.run(steps[:1])
+        made.run(STEPS[:1])
         made.level, made.motion = level, motion
-        made.run(steps[1:])
+        made.run(STEPS[1:3])
         assert made.unsteady == 2
     assert Session(tmp_path / "s.zarr", unsealed=True).segments["outcome"].tolist() == [0, 4, 4, 0]
 

@@ -72,7 +72,7 @@ class PairWorld:
     """Two skins, and one object at a time between them.
 
     Raises:
-        ConfigError: A sensor or a face is unknown, or the simulator is not installed.
+        ConfigError: A sensor is unknown, or later a face; or the simulator is not installed.
     """
 
     def __init__(self, spec: PairSpec) -> None:
@@ -91,11 +91,7 @@ class PairWorld:
         self._dropped = False
 
     def place(self, obj: GraspObject | None) -> None:
-        """Put an object on the table between the open fingers, in place of any other; None: none.
-
-        Raises:
-            ConfigError: A face is no indenter.
-        """
+        """Put an object on the table between the open fingers, instead of any other; None: none."""
         self._clear()
         self._object, self._presses = obj, ()
         if obj is not None:
@@ -209,30 +205,17 @@ class PairWorld:
             (x, y, z), (fx, fy, fz) = press.tip, wrench[side, :3]
             if fz:
                 wrench[side, 3:] += (y * fz - z * fy, z * fx - x * fz, x * fy - y * fx)
-        return PairState(
-            self._t_ns or 0,
-            wrench,
-            -tips[:, 2],
-            tips,
-            shear,
-            self._slip.copy(),
-            self._way.copy(),
-            self._dropped,
-        )
+        t_ns, depth, slip, way = self._t_ns or 0, -tips[:, 2], self._slip.copy(), self._way.copy()
+        return PairState(t_ns, wrench, depth, tips, shear, slip, way, self._dropped)
 
     def _touching(self) -> "tuple[LadderPress, ...]":
         return () if self._dropped else self._presses
 
     def reading(self, side: int) -> np.ndarray:
-        """Return the picture or the raw counts of the left finger (0) or the right one (1).
-
-        They are as those of `rig.mock.world.views.reading_of`, of the state of the last step.
-        """
+        """Return picture or raw counts of the last state, of the left finger (0) or the right."""
         if side not in self._readings:
             self._readings[side] = reading_of(self._specs[side])
-        reading = self._readings[side]
+        points, read = self._readings[side]
         presses = self._touching()
-        moved = (
-            presses[side].markers(reading.points) if presses else np.zeros((len(reading.points), 3))
-        )
-        return reading.read(moved, self._t_ns or 0)
+        moved = presses[side].markers(points) if presses else np.zeros((len(points), 3))
+        return read(moved, self._t_ns or 0)
