@@ -192,27 +192,40 @@ def features_of(session: Session) -> dict[str, Feature]:
 
 
 def windows_of(session: Session) -> dict[str, int]:
-    """Return the most samples that each signal of numbers has between two frames, if several."""
-    rates = {
-        name: session.streams[name].rate_hz / session.rate_hz
-        for name in feature_names(session)
-        if "signal" in session.streams[name].traits.roles
-        and session.streams[name].layout.image is None
-    }
-    return {name: math.ceil(rate) + 1 for name, rate in rates.items() if rate > FASTER}
+    """Return the most samples that signals of numbers faster than the frames have since a tick."""
+    most = {}
+    frames = session.frames
+    for name in feature_names(session):
+        stream = session.streams[name]
+        is_signal = "signal" in stream.traits.roles and stream.layout.image is None
+        if is_signal and stream.rate_hz > FASTER * session.rate_hz:
+            parts = [
+                _since(session, name, run, frames["t_ns"][frames["run"] == run])
+                for run in np.unique(frames["run"]).tolist()
+            ]
+            most[name] = max(int((ends - starts).max()) for starts, ends in parts)
+    return most
 
 
-def window(stream: Stream, rows: slice, ticks: Array, most: int) -> tuple[Array, Array]:
-    """Return the samples of rows of a run that arrived after the tick before, up to each tick.
+def _since(session: Session, name: str, run: int, ticks: Array) -> tuple[Array, Array]:
+    """Return the rows of a run (n,) behind the tick before each tick (n,) [ns], and up to it."""
+    times, step = session.streams[name].t_ns[session.rows_of_run(name, run)], 1e9 / session.rate_hz
+    before = np.r_[ticks[0] - round(step), ticks[:-1]]
+    before = np.where(ticks - before < 1.5 * step, before, ticks - round(step))
+    starts, ends = (np.searchsorted(times, at, side="right") for at in (before, ticks))
+    return starts, ends
 
-    They are the last `most` (n, most, ...), oldest first, and their ages (n, most) [s], after NaN
-    where there are fewer. `ticks` (n,) [ns] increase; the first has those of the time to the next.
+
+def window(session: Session, name: str, run: int, ticks: Array, most: int) -> tuple[Array, Array]:
+    """Return the samples of a stream since the tick before each tick (n, most, ...), oldest first.
+
+    Also their ages (n, most) [s]; both after NaN where there are fewer.
     """
+    stream, rows = session.streams[name], session.rows_of_run(name, run)
     times, values = stream.t_ns[rows], stream.array("value")[rows]
-    step = ticks[1] - ticks[0] if len(ticks) > 1 else 0
-    before = np.r_[ticks[0] - step, ticks[:-1]][:, None]
-    index = np.searchsorted(times, ticks, side="right")[:, None] + np.arange(-most, 0)
-    fresh = (index >= 0) & (times[index] > before)
+    starts, ends = (each[:, None] for each in _since(session, name, run, ticks))
+    index = ends + np.arange(-most, 0)
+    fresh = index >= starts
     ages = np.where(fresh, (ticks[:, None] - times[index]) * NS, np.nan)
     shaped = fresh.reshape(*fresh.shape, *[1] * (values.ndim - 1))
     return np.where(shaped, values[index], np.nan), ages
@@ -408,8 +421,7 @@ def _columns(session: Session, press: RecordedPress, out: _Dataset) -> dict[str,
         "utc_ns": capture + utc_offset(session, press.run),
     }
     for name, most in windows_of(session).items():
-        stream = session.streams[name]
-        values, ages = window(stream, session.rows_of_run(name, press.run), ticks, most)
+        values, ages = window(session, name, press.run, ticks, most)
         columns[f"observation.{name}.window"] = values.reshape(len(rows), -1)
         columns[f"observation.{name}.window_age"] = ages
     if "action" in out.features and "action" not in feature_names(session).values():
