@@ -23,7 +23,7 @@ AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 # Phases of one target, by code.
 PHASES = ("normal_inc", "shear_inc", "shear_dec", "normal_dec")
 # Ways in which a phase ended, by code.
-OUTCOMES = ("complete", "force_limited", "interrupted", "stopped")
+OUTCOMES = ("complete", "force_limited", "interrupted", "stopped", "unsteady")
 # Allowed values of a session's `status`.
 STATUSES = ("recording", "complete", "stopped", "recovered")
 
@@ -83,6 +83,8 @@ KINDS: Mapping[str, KindDefaults] = {
     ),
     "joints": KindDefaults("interpolated", ("label",)),
     "events": KindDefaults("latest", (), max_age=math.inf),
+    "gripper": KindDefaults("latest", ()),
+    "action": KindDefaults("latest", (), max_age=math.inf),
     "values": KindDefaults("interpolated", ("label",)),
     "table": KindDefaults("none", ()),
 }
@@ -450,6 +452,31 @@ def joints_spec(rate_hz: float, *, name: str, joints: int = 6, **attrs: Any) -> 
     return _stream("joints", name, (value, speed, _DEVICE_T, _T_NS), rate_hz, attrs)
 
 
+def gripper_spec(rate_hz: float, *, name: str = "gripper", **attrs: Any) -> StreamSpec:
+    """Return a stream of a gripper's status."""
+    columns = (
+        Column("value", "float64", units="m", description="opening, in steps of one count"),
+        Column("commanded", "float64", units="m", description="opening that was requested"),
+        Column("current", "float64", units="A", description="motor current"),
+        Column("object", "int8", units="1", description="0 moving, 1 or 2 stopped, 3 at position"),
+        Column("fault", "int16", units="1", description="the device's fault code; 0: none"),
+        _T_NS,
+    )
+    return _stream("gripper", name, columns, rate_hz, attrs)
+
+
+def action_spec(*, name: str = "action", rate_hz: float = 1.0, **attrs: Any) -> StreamSpec:
+    """Return a stream of commands to a gripper, one row each; the last one holds."""
+    columns = (
+        Column("value", "float64", units="m", description="opening to go to"),
+        Column("speed", "int16", units="1", description="speed, 0 slowest to 255"),
+        Column("force", "int16", units="1", description="force, 0 weakest to 255"),
+        Column("by", "int8", units="1", description="0: a plan, 1: a controller"),
+        _T_NS,
+    )
+    return _stream("action", name, columns, rate_hz, attrs)
+
+
 def events_spec(*, name: str, length: int = 256, rate_hz: float = 1.0, **attrs: Any) -> StreamSpec:
     """Return a stream of text events; `event_text` and `event_row` convert between text and rows.
 
@@ -571,5 +598,12 @@ TARGET_UNITS: Mapping[str, tuple[str, str]] = {
     "depth": ("m", "planned indentation"),
     "direction": ("1", "number of the shear direction, 0 along +x, counter-clockwise; -1 for none"),
     "planned": ("m", "planned place of the tip at full shear, in the robot's base frame"),
+    "object": ("1", "number of the object in attrs plan"),
+    "turn": ("1", "unit vector of gravity in the frame of the hand"),
+    "step": ("1", "number of the step of the squeeze"),
+    "opening": ("m", "commanded distance between the undeformed skins"),
+    "width": ("m", "width of the object along the grip axis"),
+    "mass": ("kg", "mass of the object"),
+    "lifted": ("1", "1 if only the fingers carry the object"),
     "control": ("1", "row of the target that this press repeats, outside of the plan; -1 for none"),
 }

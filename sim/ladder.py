@@ -244,6 +244,10 @@ class Ladder:
         return np.asarray(np.interp(self._fine_force, self._forces, self._travel))
 
     @cached_property
+    def _last_travel(self) -> float:
+        return self._last / float(self._stiffness[-1].mean())
+
+    @cached_property
     def _sides(self) -> list[tuple[Array, Array]]:
         return _sides(self._presses, _skin(self.body))
 
@@ -290,13 +294,13 @@ class Ladder:
         beyond = max(force - float(self._forces[-1]), 0.0) / self._last
         return float(np.interp(force, self._fine_force, self._fine)) + beyond
 
-    def travel(self, depth: float) -> float:
+    def travel(self, depth: float | Array) -> Array:
         """Return how far a contact at `depth` [m] moves sideways until all of it slips [m].
 
         Over the coefficient of friction.
         """
-        beyond = self._last / float(self._stiffness[-1].mean()) * max(depth - self.depth_max, 0.0)
-        return float(np.interp(depth, self._fine, self._fine_travel)) + beyond
+        beyond = self._last_travel * np.maximum(depth - self.depth_max, 0.0)
+        return np.asarray(np.interp(depth, self._fine, self._fine_travel) + beyond)
 
     def unit(self, depth: float) -> Array:
         """Return wrench over normal force, then the height of the pressed skin [m] (7,)."""
@@ -505,11 +509,8 @@ class LadderPress:
             self._elastic[:] = self._branches[:] = self._force[:] = 0.0
             return
         ladder = self._ladder
-        if seconds != self._passed[0]:
-            self._passed = self._passing(seconds)
+        factor, held = self._ahead(seconds)
         _, decay, gained = self._passed
-        factor = 1 + gained.sum()
-        held = (decay * self._branches).sum(axis=0) - gained.sum() * self._elastic
         elastic = self._elastic.copy()
         elastic[:, :2] += ladder.sideways * aside
         pressed = np.maximum(ladder.travel(-tip[2]) - ladder.start, 0.0) if tip[2] < 0 else 0.0
@@ -524,6 +525,27 @@ class LadderPress:
         change = elastic - self._elastic
         self._branches = decay * self._branches + gained * change
         self._elastic, self._force = elastic, force
+
+    def _ahead(self, seconds: float) -> tuple[float, Array]:
+        """Return the slope and the rest of each spring's force over its elastic one (n, 3) [N]."""
+        if seconds != self._passed[0]:
+            self._passed = self._passing(seconds)
+        _, decay, gained = self._passed
+        whole = gained.sum()
+        return 1 + whole, (decay * self._branches).sum(axis=0) - whole * self._elastic
+
+    def ahead(self, seconds: float) -> Ahead:
+        """Return the forces that this press would have after a time [s]; nothing moves."""
+        ladder, (factor, held) = self._ladder, self._ahead(seconds)
+        spring = factor * ladder.on_body(self.tip) * ladder.spring
+        side = factor * self._elastic[:, :2] + held[:, :2]
+        stiffness = factor * ladder.sideways
+        return Ahead(ladder, spring, held[:, 2], self._friction, side, stiffness)
+
+    @property
+    def stuck(self) -> Array:
+        """Elastic displacement of the part of the contact that slips last (2,) [m]."""
+        return np.asarray(self._elastic[0, :2] / self._ladder.sideways[0])
 
     def _passing(self, seconds: float) -> tuple[float, Array, Array]:
         """Return the time [s], and two factors of each branch over it (b, 1, 1).
@@ -601,6 +623,30 @@ class LadderPress:
     def _dent(self) -> float:
         """Depth of the skin under the tip [m]: deeper than the tip while it recovers."""
         return self._ladder.deepest(float(self._elastic[:, 2].sum()))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ahead:
+    """Forces of a press after a time, by where its tip is then; n springs."""
+
+    _ladder: Ladder
+    _spring: Array
+    _rest: Array
+    friction: float
+    """Coulomb's coefficient."""
+    side: Array
+    """Side force of each spring at rest, not limited by friction (n, 2) [N]."""
+    stiffness: Array
+    """Growth of it over a move sideways in that time (n, 2) [N/m]."""
+
+    def normal(self, depths: Array) -> Array:
+        """Return the normal force of each spring at depths (k,) [m] (k, n) [N].
+
+        The tip's place on the skin is that of the last move.
+        """
+        ladder = self._ladder
+        travelled = np.maximum(ladder.travel(depths)[:, None] - ladder.start, 0.0)
+        return np.maximum(self._spring * travelled + self._rest, 0.0)
 
 
 # Presses by `layer` in files, and the corrections by `fem`.

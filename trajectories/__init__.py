@@ -20,3 +20,5 @@ from trajectories.plans import Touch as Touch
 from trajectories.plans import dome_height as dome_height
 from trajectories.plans import plan_from_json as plan_from_json
 from trajectories.plans import plan_to_json as plan_to_json
+from trajectories.squeeze import Squeeze as Squeeze
+from trajectories.squeeze import SqueezeStep as SqueezeStep

@@ -219,7 +219,9 @@ EDITS = (
 
 def measure_healthy(run: Run) -> dict[str, Any]:
     """Collect a session for each bench and effect; return the worst value of each witness."""
-    benches = sorted(path.stem for path in BENCHES.glob("*.yaml") if path.stem != "mock")
+    benches = sorted(
+        path.stem for path in BENCHES.glob("*.yaml") if path.stem not in ("mock", "pair")
+    )
     # Each bench once, each time with the next effect, and so on: the first part has all of both.
     chosen = [
         (bench, LABS[(turn + k) % len(LABS)])

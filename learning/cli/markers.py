@@ -28,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--out", type=Path, required=True, metavar="PATH", help="archive to write, X.markers.zarr")
     add("--preset", metavar="NAME", help="preset of marker detection: a name or a YAML file")
     add("--sensor", metavar="NAME", help="name of the sensor in the archive")
+    add("--finger", choices=("left", "right"), help="finger to read, of sessions of a hand")
     add("--mm-per-px", type=float, help="size of a pixel [mm] (the preset's)")
     add("--sheet", type=Path, metavar="PNG", help="draw a contact sheet as well")
     add(
@@ -53,6 +54,7 @@ def run(options: argparse.Namespace) -> int:
             options.out,
             preset_name=options.preset,
             sensor=options.sensor,
+            finger=options.finger,
             mm_per_px=options.mm_per_px,
             unseen=options.unseen,
             sam=sam,
@@ -65,7 +67,8 @@ def run(options: argparse.Namespace) -> int:
         from learning.markers.recording import read_group
         from learning.markers.sheet import draw_sheet
 
-        draw_sheet(options.out, read_group(options.sessions, options.sensor)[0], options.sheet)
+        recordings, _ = read_group(options.sessions, options.sensor, options.finger)
+        draw_sheet(options.out, recordings, options.sheet)
         print(f"{options.sheet}: written")
     print(f"{options.out}: {frames:,} frames made")
     return 0

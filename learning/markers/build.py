@@ -21,6 +21,7 @@ def archive_sessions(
     *,
     preset_name: str | None = None,
     sensor: str | None = None,
+    finger: str | None = None,
     mm_per_px: float | None = None,
     unseen: tuple[str, ...] = UNSEEN,
     sam: EfficientSam | None = None,
@@ -31,12 +32,13 @@ def archive_sessions(
 
     Returns the number of frames made by this call, and lines of summary: frames, flags, omissions.
     The preset of marker detection, by default that of each sensor, the name of the sensor, and the
-    size of a pixel [mm] replace those of sessions and preset. `unseen` are indenters that models
-    may not be trained on; `sam` refines masks of pictures; `irregular` markers have no regular
-    pattern, and are rejected otherwise. Progress is called with the frames made and the total.
+    size of a pixel [mm] replace those of sessions and preset. Of sessions of a hand, one `finger`
+    is read. `unseen` are indenters that models may not be trained on; `sam` refines masks of
+    pictures; `irregular` markers have no regular pattern, and are rejected otherwise. Progress is
+    called with the frames made and the total.
     """
     one_thread()
-    recordings, indenters = read_group(sessions, sensor)
+    recordings, indenters = read_group(sessions, sensor, finger)
     sensors = [
         RecordedSensor(
             name,

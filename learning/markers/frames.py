@@ -134,7 +134,7 @@ class _Markers:
     def frames(self, recording: Recording, rows: Integers) -> Stored:
         """Return some rows of a recording (n, 38400); each picture is processed once."""
         images, first, inverse = np.unique(
-            recording.column("image")[rows], return_index=True, return_inverse=True
+            recording.column(recording.shown)[rows], return_index=True, return_inverse=True
         )
         masks = []
         for image, reference in zip(images, recording.reference[rows[first]], strict=True):
@@ -172,8 +172,8 @@ class _Taxels:
         return pack(taxel_masks(np.zeros((1, 16, 3)), np.zeros((16, 3)), self._preset))
 
     def frames(self, recording: Recording, rows: Integers) -> Stored:
-        no_contact = recording.session.reference["taxels"][recording.references]
-        counts = recording.column("taxels")[rows]
+        no_contact = recording.session.reference[recording.shown][recording.references]
+        counts = recording.column(recording.shown)[rows]
         return pack(taxel_masks(counts, no_contact[recording.reference[rows]], self._preset))
 
 
@@ -192,7 +192,7 @@ class _Shading:
 
     def frames(self, recording: Recording, rows: Integers) -> Stored:
         no_contact = self._no_contact(recording)
-        images, reference = recording.column("image")[rows], recording.reference[rows]
+        images, reference = recording.column(recording.shown)[rows], recording.reference[rows]
         cells = (cells_of(recording.picture(int(image)), self._preset) for image in images)
         return np.stack(list(map(shading_of, cells, no_contact[reference])))
 
@@ -259,6 +259,8 @@ class RecordedSensor:
             "preset_says": repr(self._preset),
             "wrench_frame": "that of the force/torque sensor, as in the sessions",
         }
+        if self._recordings[0].finger:
+            attrs["finger"] = self._recordings[0].finger
         if not isinstance(self._preset, TaxelPreset):
             first = self._recordings[0]
             shape = first.picture(first.reference_images()[0]).shape
@@ -305,11 +307,13 @@ class RecordedSensor:
         flags = marker_flags(self._name, frames, table, self.plan.references, self._frames.count)
         lines = []
         run, target = recording.column("run")[rows], recording.column("target")[rows]
+        squeezed = recording.squeezed()[rows]
         for row, reason in enumerate(invalid):
             line: dict[str, Any] = {
                 "session": recording.name,
                 "run": int(run[row]),
                 "target": int(target[row]),
+                **squeezed[row],
             }
             line |= {INVALID: reason} if reason else {}
             line |= {FLAG: flags[row]} if row in flags else {}
@@ -330,7 +334,7 @@ class RecordedSensor:
         wrench[~np.isfinite(wrench)] = np.nan
         location = np.full(len(target), -1)
         if recording.first_location is not None:
-            location = recording.first_location + target
+            location = recording.first_location + recording.places()[rows]
         reference = self._first_reference[index] + recording.reference[rows]
         return {
             "indenter": np.full(len(target), self._indenters.index(recording.indenter)),

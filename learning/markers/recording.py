@@ -47,6 +47,8 @@ class Recording:
     """Index into `references` of each row (n,)."""
     omitted: tuple[str, ...]
     """Descriptions of the session's frames that are not in `rows`."""
+    finger: str = ""
+    """Stream of the finger of a hand that is read; empty: the first of its kind."""
     first_target: int = 0
     """Number of its first target within the indenter, in an archive."""
     first_location: int | None = None
@@ -58,12 +60,13 @@ class Recording:
     @property
     def located(self) -> bool:
         """True if all targets have a shear direction, and so locations common to sensors."""
-        return bool((self.session.plan_targets["direction"] >= 0).all())
+        return not self.finger and bool((self.session.plan_targets["direction"] >= 0).all())
 
     @property
     def is_imported(self) -> bool:
-        """True if its presses were found in a recording made elsewhere, without a plan."""
-        return "imported" in self.session.attrs and self.session.attrs.get("plan") is None
+        """True if its presses have no plan of places: found in a recording, or by a hand."""
+        attrs = self.session.attrs
+        return bool(self.finger) or ("imported" in attrs and attrs.get("plan") is None)
 
     @property
     def is_placed(self) -> bool:
@@ -77,12 +80,13 @@ class Recording:
 
     def surface(self) -> NDArray[np.float64]:
         """Return the height of the undeformed surface at each row's target (n,) [m]; 0 if flat."""
-        return np.asarray(surface_heights(self.session)[self.column("target")])
+        heights = surface_heights(self.session)
+        return np.zeros(len(self)) if self.finger else np.asarray(heights[self.column("target")])
 
     @property
     def camera(self) -> Stream:
         """Its first camera, whose images the column `image` of `frames` numbers."""
-        name = self.session.first("camera")
+        name = self.finger or self.session.first("camera")
         if name is None:
             raise LearningError(f"{self.name}: has no camera")
         return self.session.streams[name]
@@ -94,7 +98,37 @@ class Recording:
 
     def reference_images(self) -> list[int]:
         """Return the image of each reference in use."""
-        return [int(image) for image in self.session.reference["image"][self.references]]
+        return [int(image) for image in self.session.reference[self.shown][self.references]]
+
+    @property
+    def shown(self) -> str:
+        """Column of `frames` and `reference` with its images or taxels."""
+        first = "image" if self.kind == "camera" else "taxels"
+        return self.session.columns[self.finger] if self.finger else first
+
+    def places(self) -> NDArray[np.int64]:
+        """Return the number within the session of each row's place (n,): target, or squeeze."""
+        target = self.column("target").astype(np.int64)
+        return np.asarray(self.session.targets["point"])[target] if self.finger else target
+
+    def squeezed(self) -> list[dict[str, Any]]:
+        """Return mass borne, turn, step and steadiness of each row, of a finger; else nothing."""
+        if not self.finger:
+            return [{}] * len(self)
+        targets, segments = self.session.targets, self.session.segments
+        times, still = self.column("t_ns"), np.zeros(len(self), np.bool_)
+        hold = round(1e9 * float(self.session.attrs["plan"]["hold"]))
+        for end in segments["end_ns"][(segments["phase"] == 0) & (segments["outcome"] == 0)]:
+            still |= (times >= end - hold) & (times < end)
+        return [
+            {
+                "mass": float(targets["mass"][of] * targets["lifted"][of]),
+                "turn": targets["turn"][of].tolist(),
+                "step": int(targets["step"][of]),
+                "still": bool(steady),
+            }
+            for of, steady in zip(self.column("target"), still, strict=True)
+        ]
 
     def layout(self) -> NDArray[np.int64]:
         """Return point, depth level and direction of each target (t, 3), which pair sensors."""
@@ -132,9 +166,9 @@ class Recording:
         wrong = np.array(["" for _ in self.rows], dtype=object)
         wrong[~frames["valid"][self.rows]] = "a stream has no sample near enough"
         if self.kind == "camera":
-            wrong[frames["image"][self.rows] < 0] = "no image"
+            wrong[frames[self.shown][self.rows] < 0] = "no image"
         else:
-            finite = np.isfinite(frames["taxels"][self.rows]).all(axis=(1, 2))
+            finite = np.isfinite(frames[self.shown][self.rows]).all(axis=(1, 2))
             wrong[~finite] = "no taxels"
         return [str(reason) for reason in wrong]
 
@@ -150,18 +184,43 @@ class Recording:
         return np.asarray(offset @ np.ascontiguousarray(axes_of(frame[3:]).T), np.float64)
 
 
-def read_recording(path: Path, sensor: str | None = None) -> Recording:
+def read_recordings(
+    path: Path, sensor: str | None = None, finger: str | None = None
+) -> list[Recording]:
+    """Read the presses of a session: one recording, or of a finger of a hand one per object."""
+    fingers = Session(path).attrs.get("fingers")
+    if fingers is None and finger is None:
+        return [read_recording(path, sensor)]
+    if not isinstance(fingers, dict) or finger not in fingers:
+        allowed = f"--finger {' or '.join(fingers)}" if fingers else "a session of a hand"
+        raise LearningError(f"{path.name}: found finger {finger}; allowed: {allowed}")
+    whole = read_recording(path, sensor or str(fingers[str(finger)]), str(finger))
+    of_row = np.asarray(whole.session.targets["object"])[whole.column("target")]
+    return [
+        replace(
+            whole,
+            indenter=str(name),
+            **{key: getattr(whole, key)[of_row == k] for key in ("rows", "number", "reference")},
+        )
+        for k, name in enumerate(whole.session.attrs["plan"]["objects"])
+        if (of_row == k).any()
+    ]
+
+
+def read_recording(path: Path, sensor: str | None = None, finger: str = "") -> Recording:
     """Read the presses of a session; `sensor` replaces the name in it."""
     session = Session(path)
     name = Path(str(session.path)).name
     if session.warning:
         raise LearningError(session.warning)
-    kind = _kind(session, name)
-    _require_presses(session, name)
+    kind = _kind(session, name, finger)
+    if not finger:
+        _require_presses(session, name)
     rows, number, omitted = _once(session)
     if not len(rows):
         raise LearningError(f"{name}: found no frames of a press; allowed: one or more")
-    references, reference = _references(session, rows, kind, name)
+    shown = session.columns[finger] if finger else "image" if kind == "camera" else "taxels"
+    references, reference = _references(session, rows, kind, name, shown)
     return Recording(
         session=session,
         name=name,
@@ -173,11 +232,14 @@ def read_recording(path: Path, sensor: str | None = None) -> Recording:
         references=references,
         reference=reference,
         omitted=tuple(omitted),
+        finger=finger,
     )
 
 
-def _kind(session: Session, name: str) -> Kind:
+def _kind(session: Session, name: str, signal: str) -> Kind:
     """Return the kind of the signal; of several cameras or taxel arrays the first is read."""
+    if signal:
+        return "camera" if session.streams[signal].traits.kind == "camera" else "taxels"
     if session.first("camera") is not None:
         return "camera"
     if session.first("taxels") is not None:
@@ -245,6 +307,8 @@ def _once(session: Session) -> tuple[Integers, Integers, list[str]]:
     plan = session.attrs.get("plan")
     straight = isinstance(plan, dict) and plan.get("kind") == "force_depth"
     expected = 2 if straight else len(PHASES)
+    if isinstance(plan, dict) and plan.get("kind") == "squeeze":
+        expected = 1
     if plan is None:
         expected = len(np.unique(session.segments["phase"]))
     missing = [of for of, press in best.items() if len(np.unique(phase[press])) < expected]
@@ -259,7 +323,7 @@ def _once(session: Session) -> tuple[Integers, Integers, list[str]]:
 
 
 def _references(
-    session: Session, rows: Integers, kind: Kind, name: str
+    session: Session, rows: Integers, kind: Kind, name: str, shown: str
 ) -> tuple[Integers, Integers]:
     """Return the rows of `reference` in use (K,), and the index of each row's reference (n,).
 
@@ -268,9 +332,9 @@ def _references(
     """
     reference = session.reference
     if kind == "camera":
-        usable = np.flatnonzero(reference["image"] >= 0)
+        usable = np.flatnonzero(reference[shown] >= 0)
     else:
-        usable = np.flatnonzero(np.isfinite(reference["taxels"]).all(axis=(1, 2)))
+        usable = np.flatnonzero(np.isfinite(reference[shown]).all(axis=(1, 2)))
     if not usable.size:
         what = "image" if kind == "camera" else "counts"
         raise LearningError(f"{name}: has no reference: no {what} without contact")
@@ -292,7 +356,7 @@ def _references(
 
 
 def read_group(
-    paths: Sequence[Path], sensor: str | None = None
+    paths: Sequence[Path], sensor: str | None = None, finger: str | None = None
 ) -> tuple[dict[str, list[Recording]], tuple[str, ...]]:
     """Return the recordings of each sensor, indenter by indenter, and the indenters by code.
 
@@ -303,7 +367,7 @@ def read_group(
     """
     if not paths:
         raise LearningError("sessions: found none; allowed: one or more")
-    recordings = [read_recording(path, sensor) for path in paths]
+    recordings = [one for path in paths for one in read_recordings(path, sensor, finger)]
     indenters = coded({one.indenter for one in recordings})
     _require_different(recordings)
     _require_alike(recordings)

@@ -67,7 +67,7 @@ def _masks(
     mask = unpack(archived.references[int(archived.table["reference"][first])])
     pixels = _outlined(archived, recording, recording.reference_images()[0], mask)
     tiles = [Tile(pixels, (f"reference: {_count(archived, mask)}", "no contact"))]
-    images = recording.column("image")
+    images = recording.column(recording.shown)
     for row in chosen:
         (mask,) = archived.masks([row])
         pixels = _outlined(archived, recording, int(images[row - first]), mask)

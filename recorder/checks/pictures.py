@@ -206,7 +206,9 @@ def _turned(name: str, looked: Looked) -> Iterator[Testimony]:
 def _pushed(presses: Presses, name: str) -> Floats:
     """Return how much more than usual a picture may differ from the next (n - 1,)."""
     stream, session = presses.session.streams[name], presses.session
-    pushed = np.ones(max(len(stream) - 1, 0))
+    # Objects in a hand move at once, by its fingers or by people.
+    usual = MORE if session.of_kind("gripper") else 1.0
+    pushed = np.full(max(len(stream) - 1, 0), usual)
     for run in range(max(len(session.runs), 1)):
         rows, (times, forces) = session.rows_of_run(name, run), presses.forces_of(run)
         if rows.stop - rows.start > 1 and forces.size:
@@ -326,7 +328,8 @@ def taxels(presses: Presses) -> Iterator[Testimony]:
                 sides = (values[..., 0] + 1j * values[..., 1]).sum(axis=1)
                 yield from sheared(presses, stream, np.diff(sides))
                 yield from taxel_order(presses, stream, values)
-            if presses.forces and stream.rate_hz >= SLOW:
+            hand = presses.session.of_kind("gripper")  # steps within one sample
+            if presses.forces and stream.rate_hz >= SLOW and not hand:
                 change = np.sqrt(np.square(np.diff(values, axis=0)).mean(axis=(1, 2)))
                 noise, late = float(np.quantile(change, 0.2)), np.diff(stream.t_ns) * NS
                 yield from _jumps(name, change, noise, np.maximum(late * stream.rate_hz, 1.0))

@@ -107,6 +107,7 @@ def document_of(part: Statistics, *, of_images: bool = False) -> dict[str, list[
 
 VERSION = "v3.0"
 IMAGE = "observation.images.tactile"
+FASTER = 1.05  # rate of a signal over that of the frames from which its windows are written
 _CHUNK_FILES = 1000  # files per chunk-NNN folder, LeRobot's default
 _FILE_BYTES = 100_000_000  # LeRobot's default: data_files_size_in_mb 100
 # Features of the first stream of a kind, by its column of `frames`, in their order.
@@ -153,13 +154,17 @@ class Feature:
 
 
 def feature_names(session: Session) -> dict[str, str]:
-    """Return features by stream: the first of a kind has LeRobot's name, others their stream's."""
-    names = {}
+    """Return features by stream: the first of a kind has LeRobot's name, others their stream's.
+
+    Fingers of a hand have their own; the commands to it are LeRobot's action.
+    """
+    names, fingers = {}, session.attrs.get("fingers", {})
     for name, column in session.columns.items():
         if column in session.frames:
             image = session.streams[name].layout.image is not None
             own = f"observation.images.{name}" if image else f"observation.{name}"
-            names[name] = _NAMES.get(column, own)
+            own = "action" if session.streams[name].traits.kind == "action" else own
+            names[name] = own if name in fingers else _NAMES.get(column, own)
     return names
 
 
@@ -169,7 +174,11 @@ def features_of(session: Session) -> dict[str, Feature]:
     names = feature_names(session)
     for name in sorted(names, key=lambda name: [*_NAMES.values(), names[name]].index(names[name])):
         features[names[name]] = _feature(session.streams[name])
-    if _NAMES["pose"] in features:
+    for name, most in windows_of(session).items():
+        count = math.prod(session.streams[name].layout.columns[0].column.shape)
+        features[f"observation.{name}.window"] = Feature("float32", (most * count,))
+        features[f"observation.{name}.window_age"] = Feature("float32", (most,))
+    if _NAMES["pose"] in features and "action" not in features:
         features["action"] = Feature("float32", (6,), _POSE)
     number, real = Feature("int64"), Feature("float32")
     return features | {
@@ -180,6 +189,46 @@ def features_of(session: Session) -> dict[str, Feature]:
         "timestamp": real,
         **dict.fromkeys(("frame_index", "episode_index", "index", "task_index"), number),
     }
+
+
+def windows_of(session: Session) -> dict[str, int]:
+    """Return the most samples that signals of numbers faster than the frames have since a tick."""
+    most = {}
+    frames = session.frames
+    for name in feature_names(session):
+        stream = session.streams[name]
+        is_signal = "signal" in stream.traits.roles and stream.layout.image is None
+        if is_signal and stream.rate_hz > FASTER * session.rate_hz:
+            parts = [
+                _since(session, name, run, frames["t_ns"][frames["run"] == run])
+                for run in np.unique(frames["run"]).tolist()
+            ]
+            most[name] = max(int((ends - starts).max()) for starts, ends in parts)
+    return most
+
+
+def _since(session: Session, name: str, run: int, ticks: Array) -> tuple[Array, Array]:
+    """Return the rows of a run (n,) behind the tick before each tick (n,) [ns], and up to it."""
+    times, step = session.streams[name].t_ns[session.rows_of_run(name, run)], 1e9 / session.rate_hz
+    before = np.r_[ticks[0] - round(step), ticks[:-1]]
+    before = np.where(ticks - before < 1.5 * step, before, ticks - round(step))
+    starts, ends = (np.searchsorted(times, at, side="right") for at in (before, ticks))
+    return starts, ends
+
+
+def window(session: Session, name: str, run: int, ticks: Array, most: int) -> tuple[Array, Array]:
+    """Return the samples of a stream since the tick before each tick (n, most, ...), oldest first.
+
+    Also their ages (n, most) [s]; both after NaN where there are fewer.
+    """
+    stream, rows = session.streams[name], session.rows_of_run(name, run)
+    times, values = stream.t_ns[rows], stream.array("value")[rows]
+    starts, ends = (each[:, None] for each in _since(session, name, run, ticks))
+    index = ends + np.arange(-most, 0)
+    fresh = index >= starts
+    ages = np.where(fresh, (ticks[:, None] - times[index]) * NS, np.nan)
+    shaped = fresh.reshape(*fresh.shape, *[1] * (values.ndim - 1))
+    return np.where(shaped, values[index], np.nan), ages
 
 
 def _feature(stream: Stream) -> Feature:
@@ -221,6 +270,8 @@ def task(session: Session) -> str:
     """Return the task text, with indenter and sensor."""
     indenter = session.attrs.get("indenter") or "unknown indenter"
     sensor = session.attrs.get("sensor") or "unknown sensor"
+    if "fingers" in session.attrs:
+        return f"squeeze {indenter} between the fingers of {sensor}"
     return f"press the {indenter} indenter into the {sensor} sensor and shear it"
 
 
@@ -369,7 +420,11 @@ def _columns(session: Session, press: RecordedPress, out: _Dataset) -> dict[str,
         "capture_ns": capture,
         "utc_ns": capture + utc_offset(session, press.run),
     }
-    if "action" in out.features:
+    for name, most in windows_of(session).items():
+        values, ages = window(session, name, press.run, ticks, most)
+        columns[f"observation.{name}.window"] = values.reshape(len(rows), -1)
+        columns[f"observation.{name}.window_age"] = ages
+    if "action" in out.features and "action" not in feature_names(session).values():
         state = frames["pose"][rows]
         columns["action"] = np.concatenate([state[1:], state[-1:]])
     for name, feature in feature_names(session).items():
@@ -416,7 +471,7 @@ def _arrow(values: Any, kind: Feature) -> pa.Array:
         return pa.array(values, kind.arrow())
     array = np.ascontiguousarray(values, kind.dtype)
     if kind.shape == (1,):
-        return pa.array(array, kind.arrow())
+        return pa.array(array.reshape(-1), kind.arrow())
     return pa.FixedSizeListArray.from_arrays(pa.array(array.reshape(-1)), kind.shape[0])
 
 

@@ -45,7 +45,8 @@ def topics(session: Session) -> dict[str, str]:
     topic_of: dict[str, str] = {}
     for name in session.order:
         kind = session.streams[name].traits.kind
-        topic = TOPICS.get(kind) if session.first(kind) == name else None
+        single = session.first(kind) == name and name not in session.attrs.get("fingers", {})
+        topic = TOPICS.get(kind) if single else None
         topic_of[name] = topic or f"/{name}"
     names = [*topic_of.values(), "/tf", "/segments", "/reference"]
     for name, topic in topic_of.items():

@@ -65,7 +65,7 @@ from trajectories import Plan, PressShear, Target, plan_from_json, plan_to_json
 logger = logging.getLogger(__name__)
 
 # Errors that may end a run, and their exit codes.
-_EXIT_CODES: dict[type[BaseException], int] = {
+EXIT_CODES: dict[type[BaseException], int] = {
     Interrupted: EXIT_INTERRUPTED,
     KeyboardInterrupt: EXIT_INTERRUPTED,
     SafetyStop: EXIT_SAFETY_STOP,
@@ -316,14 +316,16 @@ class Collector:
                 done = sum(index not in request.left_out for index in range(first))
                 pressed = targets[: runner.done]
                 done += sum(first <= target.index < request.total for target in pressed)
-                summaries = self._close(streams, writer, status, reason, done)
+                summaries = close_session(
+                    self._bench.rate_hz, streams, writer, status, reason, done
+                )
             except SessionError as error:
                 print(error, file=sys.stderr)
                 return EXIT_DEVICE_LOST
-            if stop is not None and not isinstance(stop, tuple(_EXIT_CODES)):
+            if stop is not None and not isinstance(stop, tuple(EXIT_CODES)):
                 raise stop
         seconds = (self._clock.now_ns() - started_ns) / 1e9
-        self._show(request.path, summaries, live.doubts)
+        show_session(request.path, summaries, live.doubts)
         line = last_line(
             status,
             reason,
@@ -341,7 +343,7 @@ class Collector:
             self._page.say(status, line)
         if stop is None:
             return EXIT_DONE
-        return next(code for kind, code in _EXIT_CODES.items() if isinstance(stop, kind))
+        return next(code for kind, code in EXIT_CODES.items() if isinstance(stop, kind))
 
     def _zero_stand_ins(self, streams: Streams) -> None:
         if self._bench.no_gauge:
@@ -446,45 +448,52 @@ class Collector:
             logger.error("no retract: %s", error)
             return False
 
-    def _close(
-        self, streams: Streams, writer: SessionWriter, status: str, reason: str, done: int
-    ) -> dict[str, Any]:
-        summaries = streams.close()
-        try:
-            stood = sorted(span for each in summaries.values() for span in each.pop("stalls", ()))
-            writer.end_run({"stalls_ns": stood})
-            writer.set_attrs(summary=summaries, targets_done=done)
-            writer.finish(status, reason, rate_hz=self._bench.rate_hz, clocks=True)
-        except OSError as error:
-            raise SessionError(
-                f"{writer.path}: could not be finished ({error}); its samples are kept: make room, "
-                f"then run: {next_command('session', 'recover', writer.path)}"
-            ) from error
-        return summaries
 
-    def _show(self, path: Path, summaries: dict[str, Any], known: Sequence[Finding]) -> None:
-        """Print what was recorded, with a contact sheet, and doubts that are not `known`."""
-        session, picture = Session(path), path.with_suffix(".png")
-        print(cadence(self._bench, session, summaries))
-        try:
-            for line in clock_lines(session):
-                print(line)
-        except (SessionError, OSError) as error:
-            logger.warning("no clocks: %s", error)
-        try:
-            contact_sheet(path, picture)
-            print(f"contact sheet: {picture}")
-        except (SessionError, OSError) as error:
-            logger.warning("no contact sheet: %s", error)
-        try:
-            printed = {(one.code, one.where) for one in known}
-            for doubt in doubts(session, images=False):
-                if (doubt.code, doubt.where) not in printed:
-                    print(paint(str(doubt), doubt.level))
-            if known:
-                print(paint(f"warnings during the recording, above: {len(known)}", "warning"))
-        except (SessionError, OSError) as error:
-            logger.warning("no warnings: %s", error)
+def close_session(
+    rate_hz: float, streams: Streams, writer: SessionWriter, status: str, reason: str, done: int
+) -> dict[str, Any]:
+    """End streams and session, with frames at a rate, and return the summaries of the streams.
+
+    Raises:
+        SessionError: The session could not be finished; its samples are kept.
+    """
+    summaries = streams.close()
+    try:
+        stood = sorted(span for each in summaries.values() for span in each.pop("stalls", ()))
+        writer.end_run({"stalls_ns": stood})
+        writer.set_attrs(summary=summaries, targets_done=done)
+        writer.finish(status, reason, rate_hz=rate_hz, clocks=True)
+    except OSError as error:
+        raise SessionError(
+            f"{writer.path}: could not be finished ({error}); its samples are kept: make room, "
+            f"then run: {next_command('session', 'recover', writer.path)}"
+        ) from error
+    return summaries
+
+
+def show_session(path: Path, summaries: Mapping[str, Any], known: Sequence[Finding] = ()) -> None:
+    """Print what was recorded, with a contact sheet, and doubts that are not `known`."""
+    session, picture = Session(path), path.with_suffix(".png")
+    print(cadence(session, summaries))
+    try:
+        for line in clock_lines(session):
+            print(line)
+    except (SessionError, OSError) as error:
+        logger.warning("no clocks: %s", error)
+    try:
+        contact_sheet(path, picture)
+        print(f"contact sheet: {picture}")
+    except (SessionError, OSError) as error:
+        logger.warning("no contact sheet: %s", error)
+    try:
+        printed = {(one.code, one.where) for one in known}
+        for doubt in doubts(session, images=False):
+            if (doubt.code, doubt.where) not in printed:
+                print(paint(str(doubt), doubt.level))
+        if known:
+            print(paint(f"warnings during the recording, above: {len(known)}", "warning"))
+    except (SessionError, OSError) as error:
+        logger.warning("no warnings: %s", error)
 
 
 def _expected(bench: Bench, request: CollectRequest) -> dict[str, Any]:
@@ -574,13 +583,13 @@ def software() -> dict[str, str]:
 # Summary printed at the end: rates and gaps of the streams, and the recorded targets.
 
 
-def cadence(bench: Bench, session: Session, summaries: Mapping[str, Any]) -> str:
+def cadence(session: Session, summaries: Mapping[str, Any]) -> str:
     """Return a table of the streams: expected and measured rate, longest gap, losses, skew."""
     accounts = accounts_of(session)
     lines = table(
         {
             "stream": list(accounts),
-            "expected": [f"{bench.row(name).rate_hz:.0f} Hz" for name in accounts],
+            "expected": [f"{session.streams[name].rate_hz:.0f} Hz" for name in accounts],
             "measured": [f"{account.measured_hz:.1f} Hz" for account in accounts.values()],
             "longest gap": [f"{1e3 * each.longest_gap:.1f} ms" for each in accounts.values()],
             "lost": [account.lost for account in accounts.values()],
@@ -595,7 +604,7 @@ def cadence(bench: Bench, session: Session, summaries: Mapping[str, Any]) -> str
         skew = np.asarray(frames["skew"])[valid]
         invalid = int((~valid).sum())
         lines.append(
-            f"{len(valid)} frames at {bench.rate_hz:.0f} Hz, {invalid} invalid, "
+            f"{len(valid)} frames at {session.rate_hz:.0f} Hz, {invalid} invalid, "
             f"worst skew {1e3 * skew.max():.1f} ms (median {1e3 * np.median(skew):.2f} ms)"
         )
         lines.append(frames_per_target(session))

@@ -18,7 +18,7 @@ import numpy as np
 
 from recorder.errors import SessionError
 from recorder.session import StreamWriter
-from rig.bench.bench import AVERAGED, Bench
+from rig.bench.bench import AVERAGED, StreamBench
 from rig.core.clock import SECOND_NS, Clock, SystemClock
 from rig.core.driver import Driver
 from rig.core.errors import ConfigError, DeviceLost
@@ -89,7 +89,13 @@ class _StreamLoop:
     """State of the running process of a stream, with shared records in `folder`."""
 
     def __init__(
-        self, name: str, bench: Bench, folder: Path, pipe: Connection, driver: Driver, clock: Clock
+        self,
+        name: str,
+        bench: StreamBench,
+        folder: Path,
+        pipe: Connection,
+        driver: Driver,
+        clock: Clock,
     ) -> None:
         row = bench.row(name)
         self._averaged = row.kind in AVERAGED
@@ -155,6 +161,11 @@ class _StreamLoop:
         if value is not None:
             self._zero = np.array(value)
         self._pipe.send(("zeroed", None))
+
+    def _on_command(self, arguments: tuple[Any, ...]) -> None:
+        commanded: Any = self._driver
+        commanded.command(*arguments)
+        self._pipe.send(("commanded", None))
 
     def _on_record(self, path: Path) -> None:
         self._writer = StreamWriter.open(path)
@@ -224,7 +235,7 @@ class _StreamLoop:
         return summary
 
 
-def run_stream(name: str, bench: Bench, folder: Path, pipe: Connection) -> None:
+def run_stream(name: str, bench: StreamBench, folder: Path, pipe: Connection) -> None:
     """Run the process of a stream of a bench with addresses; `pipe` is its end."""
     # Ctrl-C and a closed terminal are handled by the parent, which closes all streams in order.
     for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP):

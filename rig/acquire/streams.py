@@ -13,7 +13,7 @@ from recorder.command_line.options import next_command
 from recorder.errors import SessionError
 from rig.acquire.control import Interlocks
 from rig.acquire.stream_process import COUNTERS, run_stream
-from rig.bench.bench import Bench, BenchStream
+from rig.bench.bench import Bench, BenchStream, StreamBench
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop, all_opened
 from rig.core.samples import SIGNAL_LATEST
@@ -31,7 +31,7 @@ _CLOSE_TIMEOUT = 30.0
 class StreamHandle:
     """Starts, queries and ends the process of one stream, with shared records in `folder`."""
 
-    def __init__(self, name: str, bench: Bench, folder: Path) -> None:
+    def __init__(self, name: str, bench: StreamBench, folder: Path) -> None:
         self.name = name
         self._bench = bench
         self._patience = max(_START_TIMEOUT, _START_TIMEOUT_EACH * len(bench.rows))
@@ -84,6 +84,11 @@ class StreamHandle:
     def signal(self) -> np.void | None:
         """Return the newest SIGNAL_LATEST; None if the stream guards nothing."""
         return None if self._signal is None else self._signal.read()
+
+    def command(self, *arguments: Any) -> None:
+        """Send a command to the device; see `command` of its driver."""
+        self._send("command", arguments)
+        self._answer("commanded", 1.0)
 
     def record(self, path: Path) -> None:
         """Append to the stream group at `path` from now on."""
@@ -191,13 +196,13 @@ class Streams:
 
     def __init__(
         self,
-        bench: Bench,
+        bench: StreamBench,
         folder: Path,
         clock: Clock,
         watch: Callable[[], None] | None = None,
-        start: Callable[[str, Bench, Path], StreamHandle] = StreamHandle,
+        start: Callable[[str, Any, Path], StreamHandle] = StreamHandle,
     ) -> None:
-        self.bench = bench
+        self.bench: Any = bench
         self.clock = clock
         self._watch = watch
         self._handles = {row.name: start(row.name, bench, folder) for row in bench.rows}
@@ -358,7 +363,8 @@ def tip_position(streams: Streams) -> Point:
     latest = streams["pose"].latest()
     if latest is None:
         raise DeviceLost("pose: no sample yet")
-    return streams.bench.tip(latest["value"])
+    bench: Bench = streams.bench
+    return bench.tip(latest["value"])
 
 
 def check_clear(streams: Streams) -> None:

@@ -25,6 +25,7 @@ from recorder.spec import (
     camera_spec,
     check_streams,
     force_spec,
+    gripper_spec,
     pose_spec,
     signal_of,
     taxels_spec,
@@ -162,6 +163,7 @@ SPECS: dict[str, Callable[..., StreamSpec]] = {
     "arm_wrench": arm_wrench_spec,
     "camera": camera_spec,
     "taxels": taxels_spec,
+    "gripper": gripper_spec,
 }
 # Kinds of streams of whose values a mean is meaningful (a tare, a reference).
 AVERAGED = ("force", "arm_wrench", "taxels")
@@ -266,8 +268,42 @@ class BenchStream:
             raise ConfigError(f"{self.name}: {error.name} is not installed; {cure}") from None
 
 
+class StreamBench:
+    """Streams of a bench, as their processes and the checks before recording need them."""
+
+    __slots__ = ()
+    preflight: Preflight
+
+    @property
+    def rows(self) -> tuple[BenchStream, ...]:
+        """All streams, in the order in which they are shown and stored."""
+        raise NotImplementedError
+
+    def row(self, name: str) -> BenchStream:
+        """Return the stream of a name."""
+        for row in self.rows:
+            if row.name == name:
+                return row
+        raise unknown_name("stream", name, [row.name for row in self.rows])
+
+    def of_kind(self, kind: str) -> tuple[BenchStream, ...]:
+        """Return the streams of a kind, in order."""
+        return tuple(row for row in self.rows if row.kind == kind)
+
+    @property
+    def signal(self) -> BenchStream | None:
+        """Stream that the others are aligned to; None on a bench without a sensor."""
+        name = signal_of([(row.name, row.traits) for row in self.rows])
+        return None if name is None else self.row(name)
+
+    @property
+    def no_gauge(self) -> bool:
+        """True if the signal of its sensor guards an arm in place of an F/T sensor."""
+        return False
+
+
 @dataclass(frozen=True, slots=True)
-class Bench:
+class Bench(StreamBench):
     """Complete settings of a bench."""
 
     sensor: str
@@ -377,23 +413,6 @@ class Bench:
             BenchStream(name, config, listed=True) for name, config in (self.streams or {}).items()
         ]
         return (*single, *more)
-
-    def row(self, name: str) -> BenchStream:
-        """Return the stream of a name."""
-        for row in self.rows:
-            if row.name == name:
-                return row
-        raise unknown_name("stream", name, [row.name for row in self.rows])
-
-    def of_kind(self, kind: str) -> tuple[BenchStream, ...]:
-        """Return the streams of a kind, in order."""
-        return tuple(row for row in self.rows if row.kind == kind)
-
-    @property
-    def signal(self) -> BenchStream | None:
-        """Stream that the others are aligned to; None on a bench without a sensor."""
-        name = signal_of([(row.name, row.traits) for row in self.rows])
-        return None if name is None else self.row(name)
 
     def tool_pose(self, tip: Point) -> Array:
         """Return the pose (6,) of the upright tool in the base frame, its tip at a place [m, rad].
@@ -590,17 +609,18 @@ class BenchFile:
 
     def at(self, host: str, folder: Path) -> BenchFile:
         """Return a mock bench's file with host and run folder of its emulators filled in."""
+        return BenchFile.of(filled(self.content, host, folder), self.path)
 
-        def filled(value: Any) -> Any:
-            if isinstance(value, str):
-                return value.replace(LOOPBACK, host).replace(RUN_FOLDER, str(folder))
-            if isinstance(value, dict):
-                return {key: filled(item) for key, item in value.items()}
-            if isinstance(value, list):
-                return [filled(item) for item in value]
-            return value
 
-        return BenchFile.of(filled(self.content), self.path)
+def filled(value: Any, host: str, folder: Path) -> Any:
+    """Return a content with host and run folder of emulators in place of their placeholders."""
+    if isinstance(value, str):
+        return value.replace(LOOPBACK, host).replace(RUN_FOLDER, str(folder))
+    if isinstance(value, dict):
+        return {key: filled(item, host, folder) for key, item in value.items()}
+    if isinstance(value, list):
+        return [filled(item, host, folder) for item in value]
+    return value
 
 
 def read_content(path: Path) -> dict[str, Any]:

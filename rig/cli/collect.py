@@ -3,7 +3,9 @@
 import argparse
 from pathlib import Path
 
-from rig.cli.options import add_page, check_page, recording_options, sources_of
+from rig.bench.bench import read_content
+from rig.cli import squeeze
+from rig.cli.options import add_page, bench_path, check_page, recording_options, sources_of
 from rig.cli.recording import collect, recording_of
 from rig.core.errors import ConfigError
 
@@ -61,6 +63,8 @@ def run(options: argparse.Namespace) -> int:
         )
     if options.again and not options.resume:
         raise ConfigError("--again: goes with --resume only")
+    if options.resume is None and "fingers" in (content := read_content(bench_path(options))):
+        return squeeze.run(options, content, bench_path(options))
     recording = recording_of(options)
     sources = sources_of(options, recording.file)
     if not recording.bench.mock and options.truth:

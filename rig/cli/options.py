@@ -59,7 +59,9 @@ def bench_options(
         metavar="NAME",
         help="name of a bench file, searched in benches/lab/, benches/ and the package",
     )
-    chosen.add_argument("--bench", type=Path, metavar="FILE", help="path of a bench file")
+    chosen.add_argument(
+        "--bench", type=Path, metavar="FILE", help="path of a bench file, or its name"
+    )
     if session:
         chosen.add_argument(
             "--session", type=Path, metavar="PATH", help="read this session in place of a bench"
@@ -133,6 +135,9 @@ def bench_path(options: argparse.Namespace) -> Path:
     """Return the bench file of --bench or --sensor, or that of the session to resume."""
     if options.bench is not None:
         path: Path = options.bench
+        # A name, or a file of the usual folder: that of the lab, else the packaged one.
+        if not path.exists() and path.parent in (Path(), BENCHES_FOLDER):
+            return find_bench(path.stem, where="--bench")
         return path
     sensor = options.sensor
     if sensor is None and getattr(options, "resume", None) is not None:

@@ -1,7 +1,9 @@
 """Names by which the processes of a mock bench reach one another."""
 
-# Records in a run folder: the arm's motion, the World's states, and those of a simulated World.
+# Records in a run folder: motion of the arm, states of the World, motion of a hand, and the records
+# of a simulated World. The state of a hand's finger is in `<finger>.state`.
 ARM_FILE, WORLD_FILE = "arm.state", "world.state"
+HAND_FILE = "hand.state"
 PRESS_FILE, SURFACE_FILE = "press.state", "surface.state"
 
 # Fault port of each device of a mock bench, at the bench's loopback address.

@@ -43,7 +43,7 @@ ARM_TRUTH = np.dtype([("t_ns", "<i8"), ("pose", "<f8", (6,)), ("speed", "<f8", (
 
 # Timestamped state of the World: TCP pose in the base frame [m, rad], indentation [m] (negative
 # above the surface), contact position and tangential surface displacement in the contact frame [m],
-# wrench on the sensor in the F/T frame [N, N m].
+# wrench on the sensor in the F/T frame [N, N m]; number of the object that a hand holds.
 WORLD_STATE = np.dtype(
     [
         ("t_ns", "<i8"),
@@ -52,7 +52,16 @@ WORLD_STATE = np.dtype(
         ("contact", "<f8", (2,)),
         ("shear", "<f8", (2,)),
         ("wrench", "<f8", (6,)),
+        ("object", "<i8"),
     ]
+)
+
+# Opening of an emulated hand's unbent fingers, for the World [m].
+HAND_TRUTH = np.dtype([("t_ns", "<i8"), ("opening", "<f8")])
+
+# Status of a gripper: opening and commanded opening [m], and its object detection (gOBJ).
+GRIPPER_LATEST = np.dtype(
+    [("t_ns", "<i8"), ("value", "<f8"), ("commanded", "<f8"), ("object", "<i8")]
 )
 
 
@@ -87,6 +96,7 @@ def latest_dtype(kind: str, shape: tuple[int, ...]) -> np.dtype[np.void]:
         "pose": POSE_LATEST,
         "arm_wrench": FORCE_LATEST,
         "camera": CAMERA_LATEST,
+        "gripper": GRIPPER_LATEST,
     }[kind]
 
 

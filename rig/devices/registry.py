@@ -136,6 +136,7 @@ DEVICES = {
         ),
         Device(
             RobotiqConfig,
+            "rig.devices.gripper.robotiq:GripperStream",
             emulator="rig.devices.gripper.robotiq_emulator",
             cures=(
                 "24 V of the gripper, and its USB cable; sudo usermod -a -G dialout $USER",

@@ -22,11 +22,12 @@ import numpy as np
 
 from recorder.command_line.extras import extra_of
 from rig.bench.bench import Bench, BenchFile
+from rig.bench.pair import PairFile
 from rig.bench.worlds import Noise, Sources
 from rig.core.config import from_si
 from rig.core.errors import ConfigError, DeviceLost
-from rig.core.mock_names import ARM_FILE, PORTS, WORLD_FILE
-from rig.core.samples import ARM_TRUTH, WORLD_STATE
+from rig.core.mock_names import ARM_FILE, HAND_FILE, PORTS, WORLD_FILE
+from rig.core.samples import ARM_TRUTH, HAND_TRUTH, WORLD_STATE
 from rig.core.shared_memory import SharedLatest
 from rig.core.stream_settings import StreamSettings
 from rig.devices import registry
@@ -46,6 +47,10 @@ _ONE_THREAD = dict.fromkeys(
 )
 # Kinds of devices that are emulated.
 _KINDS = ("arm", "force", "camera", "taxels", "gripper", "pedal", "spacemouse")
+# Time until an emulated hand answers [ms]; assumed.
+_MODBUS_MS = 8.0
+# Pose of a finger, which nothing uses.
+_NOWHERE = {"position_mm": [0.0, 0.0, 0.0]}
 # Fault port of the first of the devices that have names of their own.
 _NAMED_PORTS = 31020
 
@@ -272,6 +277,59 @@ class MockBench(ProcessGroup):
             # The number of solutions shows how accurate the World was.
             logger.info(self.last_word("solver"))
         self._closed = True
+
+
+class MockHand(ProcessGroup):
+    """The emulators of a mock hand: World, both fingers and gripper.
+
+    `truth` is a folder for the states of each finger; None: they are not kept.
+    """
+
+    def __init__(self, file: PairFile, folder: Path, *, truth: Path | None = None) -> None:
+        super().__init__(folder)
+        host = free_loopback()
+        self.hosts = {"left": host, "right": free_loopback((host,))}
+        """Address of the emulators of each finger; World and gripper are at that of the left."""
+        self.file = file.at(self.hosts, folder)
+        """The bench with the addresses of the emulators."""
+        self._truth = truth
+
+    def _start(self) -> None:
+        content, bench, folder = self.file.content, self.file.bench, self._folder
+        SharedLatest.create(folder / HAND_FILE, HAND_TRUTH).close()
+        worlds = {name: each["world"] for name, each in content["fingers"].items()}
+        world = {
+            "pair": {**worlds, "compliance": bench.compliance},
+            "objects": content["objects"],
+            "folder": str(folder),
+            "truth": self._truth and str(self._truth),
+        }
+        gripper = {
+            "device": content["gripper"],
+            "hand": str(folder / HAND_FILE),
+            "world": str(folder / "left.state"),
+            "delay_ms": _MODBUS_MS,
+        }
+        documents = {"world": ("hand", world), "gripper": (bench.gripper.KIND, gripper)}
+        for name, (_, settings) in documents.items():
+            settings |= {"host": self.hosts["left"], "fault_port": PORTS[name]}
+        for side, (name, finger) in enumerate(bench.fingers.items()):
+            SharedLatest.create(folder / f"{name}.state", WORLD_STATE).close()
+            view, kind = folder / f"{name}-view.json", finger.device.STREAM
+            faces = [[each.faces[side], each.friction] for each in bench.objects]
+            of_view = {"world": worlds[name], "contact_frame": _NOWHERE, "folder": str(folder)}
+            view.write_text(json.dumps({**of_view, "faces": faces}))
+            noise = (finger.world and finger.world.noise) or Noise()
+            more = {"noise": noise.counts} if kind == "taxels" else {}
+            device = {
+                "device": content["fingers"][name]["device"],
+                "host": self.hosts[name],
+                "world": str(folder / f"{name}.state"),
+                "view": str(view),
+                "fault_port": PORTS[kind],
+            }
+            documents[name] = (finger.device.KIND, device | more)
+        self._launch(documents)
 
 
 def free_loopback(taken: Collection[str] = ()) -> str:

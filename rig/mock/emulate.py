@@ -29,7 +29,11 @@ from rig.core.realtime import enable_realtime
 from rig.devices import registry
 
 # Modules of the emulators that are no device's; that of a device is named as its `kind`.
-WORLDS = {"world": "rig.mock.world.host", "solver": "rig.mock.world.press_solver"}
+WORLDS = {
+    "world": "rig.mock.world.host",
+    "hand": "rig.mock.world.hand",
+    "solver": "rig.mock.world.press_solver",
+}
 # Emulators in this package.
 EMULATORS = {
     **{kind: device.emulator for kind, device in registry.DEVICES.items() if device.emulator},

@@ -24,6 +24,7 @@ from rig.devices.arm.settings import ArmConfig, PoseConfig, WrenchConfig
 from rig.devices.camera.settings import MjpegConfig
 from rig.devices.force.netft_emulator import force_page
 from rig.devices.force.settings import NetFtConfig
+from rig.devices.gripper.settings import HandConfig
 from rig.devices.taxels.settings import XelaConfig
 from rig.mock.bench import ProcessGroup, free_loopback
 from trajectories import ForceDepth
@@ -34,6 +35,7 @@ PLAYED_BY = {
     "pose": "ur",
     "arm_wrench": "ur",
     "taxels": "xela",
+    "gripper": "robotiq_2f",
     "camera": "mjpeg",
 }
 
@@ -66,7 +68,7 @@ class Players(ProcessGroup):
     def _start(self) -> None:
         self._launch(
             {
-                name: (emulator, {"host": host, "recording": {**self._recording, "stream": name}})
+                name: (emulator, {**_at(host), "recording": {**self._recording, "stream": name}})
                 for name, (emulator, host) in self._emulators.items()
             }
         )
@@ -106,6 +108,7 @@ class Players(ProcessGroup):
 _PATIENCE = 30.0
 # The same for the camera, which is opened last, and whose driver may take as long to close [s].
 _CAMERA_PATIENCE = 10.0
+_NEVER = 1e9
 _NO_MOTION = BenchLimits(
     box_x=(0.0, 0.0),
     box_y=(0.0, 0.0),
@@ -117,12 +120,21 @@ _NO_MOTION = BenchLimits(
 )
 
 
-def playback_hosts(names: tuple[str, ...]) -> dict[str, str]:
-    """Return a loopback address for each stream: devices of a kind have the same ports."""
+def playback_hosts(session: Session, names: tuple[str, ...], folder: Path) -> dict[str, str]:
+    """Return a loopback address for each stream: devices of a kind have the same ports.
+
+    A gripper has a serial port in the run folder.
+    """
     hosts: dict[str, str] = {}
     for name in names:
-        hosts[name] = free_loopback(hosts.values())
+        serial = session.streams[name].traits.kind == "gripper"
+        hosts[name] = str(folder / name) if serial else free_loopback(hosts.values())
     return hosts
+
+
+def _at(host: str) -> dict[str, Any]:
+    """Return the settings of an emulator at a loopback address or a serial port."""
+    return {"device": {"port": host}} if "/" in host else {"host": host}
 
 
 def replay_bench(
@@ -132,7 +144,7 @@ def replay_bench(
     attrs = session.attrs
     devices = {name: _device(session, name, hosts[name], speed) for name in names}
     # A lab bench needs an arm and an F/T sensor; those of a replay may never be opened.
-    unused = next(iter(hosts.values()))
+    unused = next((host for host in hosts.values() if "/" not in host), "127.0.0.1")
     pose = devices.pop("pose", None)
     host, rate_hz = (unused, 500.0) if pose is None else (pose.host, pose.rate_hz)
     return Bench(
@@ -164,6 +176,10 @@ def _device(session: Session, name: str, host: str, speed: float) -> Any:
         return PoseConfig(host=host, rate_hz=stated_rate(stream))
     if kind == "arm_wrench":
         return WrenchConfig(host=host, rate_hz=stated_rate(stream))
+    if kind == "gripper":
+        made = {key: stream.attrs["device"][key] for key in ("slave", "per_count", "closed")}
+        # It asks at once, and gets each answer when its row is due.
+        return HandConfig(port=host, answer=silence, silence=_NEVER, rate_hz=1000.0, **made)
     if kind == "taxels":
         (taxels, axes) = stream.layout.columns[0].column.shape
         address = f"ws://{host}:5000"

@@ -446,7 +446,9 @@ class Lab:
         folder = self._folders.benches
         files: dict[str, Path] = {}
         for each in (BENCHES, folder, folder / "lab"):
-            files |= {path.stem: path for path in each.glob("*.yaml") if path.stem != "mock"}
+            files |= {
+                path.stem: path for path in each.glob("*.yaml") if path.stem not in ("mock", "pair")
+            }
         return dict(sorted(files.items())[:_MOST])
 
     def _named(self, name: str) -> Bench:

@@ -24,7 +24,7 @@ from recorder.errors import SessionError
 from recorder.info import session_digest, stream_digest
 from recorder.progress import ItemProgress, duration
 from recorder.session import Session, SessionWriter, StreamWriter
-from recorder.spec import StreamSpec
+from recorder.spec import StreamSpec, action_spec
 from rig.acquire.collector import software
 from rig.acquire.control import Interrupted, InterruptFlag
 from rig.acquire.streams import StreamHandle
@@ -52,7 +52,7 @@ EXIT_DIFFERENT = 1
 # Attributes of the source that also apply to the replay.
 _COPIED = (
     *("sensor", "indenter", "operator", "plan", "targets_wanted", "bench", "contact_frame"),
-    *("calibration", "expected", "expected_force", "imported", "mock_sources"),
+    *("calibration", "expected", "expected_force", "imported", "mock_sources", "fingers"),
 )
 # Attributes of a stream that the replay writes itself.
 _OWN_ATTRS = {"columns", "rate_hz", "sync_interval", "device", "device_clock", "clock_fit"}
@@ -132,7 +132,7 @@ class Replay:
                 folder = Path(
                     stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-"))
                 )
-                hosts = playback_hosts(names)
+                hosts = playback_hosts(source, names, folder)
                 bench = replay_bench(source, names, hosts, speed)
                 replayed = ReplayedRun(
                     source, names, run, bench, hosts, folder, self._clock, interrupt, speed=speed
@@ -163,7 +163,7 @@ class Replay:
                 "name": source.path.name,
                 "sha256": session_digest(self._hashes),
                 "streams": self._hashes,
-                "left_out": sorted(set(source.streams) - set(names)),
+                "left_out": sorted({*source.streams} - {*names, *source.of_kind("action")}),
                 "speed": request.speed_name,
                 "status": source.status,
                 "mock": attrs.get("mock"),
@@ -179,6 +179,7 @@ class Replay:
             )
             for name in names
         ]
+        specs += [action_spec(name=name) for name in source.of_kind("action")]
         return SessionWriter.create(
             request.out,
             attrs={**{key: attrs[key] for key in _COPIED if key in attrs}, **own},
@@ -224,6 +225,8 @@ class Replay:
                 continue
             moved = {"run": numbers[run], "t_ns": int(t_ns), "point": row["point"]}
             writer.reference.append(**{**_no_contact(self._source, replay, row), **moved})
+        for name in self._source.of_kind("action"):
+            self._copy_commands(name, writer)
         status, reason = "complete", ""
         if stop is not None:
             status, reason = "stopped", f"replay: {str(stop) or type(stop).__name__}"
@@ -234,6 +237,17 @@ class Replay:
             # At another speed the devices' clocks are slower than the host's by that factor.
             clocks=self._request.speed == 1.0,
         )
+
+    def _copy_commands(self, name: str, writer: SessionWriter) -> None:
+        """Copy commands, which no device sends, to their times in the replay."""
+        stream = self._source.streams[name]
+        with StreamWriter.open(writer.stream_path(name)) as out:
+            for run, moved in self._maps.items():
+                rows = self._source.rows_of_run(name, run)
+                columns = {column: stream.array(column)[rows] for column in stream.names}
+                for k, t_ns in enumerate(moved(columns["t_ns"])):
+                    row = {column: values[k] for column, values in columns.items()}
+                    out.append(**{**row, "t_ns": int(t_ns)})
 
     def _faster(self, replay: Session) -> float:
         """Return the playback speed relative to the recording."""
@@ -366,7 +380,7 @@ class EndOfTape:
 
 
 # Samples that a driver delivers before playback starts, because it needs them to open, by kind.
-_LEAD_IN = {"force": 1, "taxels": 1, "pose": 0, "arm_wrench": 0, "camera": 0}
+_LEAD_IN = {"force": 1, "taxels": 1, "gripper": 1, "pose": 0, "arm_wrench": 0, "camera": 0}
 _SETTLE_NS = SECOND_NS // 5
 _SETTLE_TIMEOUT = 10.0
 # Time from the cue to the start of playback; emulators poll the cue 200 times per second.

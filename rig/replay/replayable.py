@@ -45,6 +45,15 @@ def check_pose(stream: Stream, rows: slice) -> None:
     _refuse(stream.name, rows, ~late[: len(device_t)], "the controller's clock does not advance")
 
 
+def check_gripper(stream: Stream, rows: slice) -> None:
+    """Reject positions that no gripper could send again."""
+    device = stream.attrs["device"]
+    for name in ("value", "commanded"):
+        counts = device["closed"] - stream.array(name)[rows] / device["per_count"]
+        whole = np.isclose(counts, counts.round(), atol=1e-3) & (counts > -0.5) & (counts < 255.5)
+        _refuse(stream.name, rows, ~whole, f"{name} is no count of the gripper")
+
+
 def check_taxels(stream: Stream, rows: slice) -> None:
     """Reject taxels that no uSkin server could send again."""
     value = stream.array("value")[rows]
@@ -78,7 +87,8 @@ def check_camera(stream: Stream, rows: slice, progress: ReportItems | None = Non
 
 # The camera's check is not listed: it takes long, and reports progress.
 _CHECKS = {
-    **{"force": check_force, "pose": check_pose, "arm_wrench": check_pose, "taxels": check_taxels}
+    **{"force": check_force, "pose": check_pose, "arm_wrench": check_pose, "taxels": check_taxels},
+    "gripper": check_gripper,
 }
 
 
@@ -98,7 +108,8 @@ def replayable(
     names = tuple(
         name for kind in PLAYED_BY for name in session.of_kind(kind) if name not in without
     )
-    unknown = {name for name, kind in kinds.items() if kind not in PLAYED_BY} - set(without)
+    copied = {*PLAYED_BY, "action"}
+    unknown = {name for name, kind in kinds.items() if kind not in copied} - set(without)
     if unknown:
         raise SessionError(
             f"{session.path}: no emulator plays {sorted(unknown)}; leave them out: --without NAME"

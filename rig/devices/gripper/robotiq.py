@@ -15,9 +15,10 @@ from typing import Any, Self
 import serial
 
 from rig.core.clock import SECOND_NS, Clock, Pacer
+from rig.core.driver import ReceivingDriver
 from rig.core.errors import DeviceLost
 from rig.devices.gripper import robotiq_wire as wire
-from rig.devices.gripper.settings import RobotiqConfig
+from rig.devices.gripper.settings import HandConfig, RobotiqConfig
 
 logger = logging.getLogger(__name__)
 
@@ -73,9 +74,9 @@ class RobotiqDriver:
         """Activate an inactive gripper: in 1 to 2 s it opens, closes and drops its object."""
         if self.status().state == wire.ACTIVE:
             return self.status()
-        self._tell(wire.GripperCommand(activate=False))
+        self.tell(wire.GripperCommand(activate=False))
         self._wait(lambda status: status.state == wire.RESET, timeout, "reset")
-        self._tell(wire.GripperCommand(activate=True))
+        self.tell(wire.GripperCommand(activate=True))
         return self._wait(lambda status: status.state == wire.ACTIVE, timeout, "be active")
 
     def move(
@@ -88,7 +89,7 @@ class RobotiqDriver:
         command = wire.GripperCommand(go=True, position=position, speed=speed, force=force)
         if self.status().state != wire.ACTIVE:
             raise DeviceLost(f"{self._where}: not active; activate it first")
-        self._tell(command)
+        self.tell(command)
         return self._wait(
             lambda status: (
                 status.requested == position and status.going and status.object != wire.MOVING
@@ -140,7 +141,8 @@ class RobotiqDriver:
                 if self._clock.now_ns() > deadline_ns:
                     raise
 
-    def _tell(self, command: wire.GripperCommand) -> None:
+    def tell(self, command: wire.GripperCommand) -> None:
+        """Send a command; the gripper moves meanwhile."""
         self._ask(wire.WRITE, wire.COMMAND_ADDRESS, wire.emit_command(command))
 
     def _wait(self, reached: Any, timeout: float, what: str) -> wire.GripperStatus:
@@ -344,3 +346,55 @@ class GripWatch:
     def _lose(self, why: str) -> None:
         self.lost = f"gripper: grip lost: {why}"
         self._on_lost()
+
+
+class GripperStream(ReceivingDriver):
+    """Stream of the status of a hand's gripper, which takes commands as well; see `Driver`."""
+
+    def __init__(self, config: HandConfig, clock: Clock) -> None:
+        super().__init__(f"gripper at {config.port}", clock, 256, ("corrupt",))
+        self._config = config
+        self._driver = RobotiqDriver(config, clock)
+        self._pacer = Pacer(clock, config.rate_hz)
+
+    def command(self, opening: float, speed: int, force: int) -> None:
+        """Go to an opening [m] with a speed and a force of 0 to 255."""
+        position = self._config.position(opening)
+        self._driver.tell(wire.GripperCommand(go=True, position=position, speed=speed, force=force))
+
+    def describe(self) -> dict[str, Any]:
+        """Return properties for the session."""
+        config = self._config
+        more = {"per_count": config.per_count, "closed": config.closed, "rate_hz": config.rate_hz}
+        return {"kind": config.KIND, "slave": config.slave, **more}
+
+    def _connect(self, timeout: float) -> None:
+        self._driver.open(timeout)
+        self._pacer = Pacer(self._clock, self._config.rate_hz)
+        self._receive_first("does not answer")
+
+    def _receive(self) -> None:
+        self._pacer.wait()
+        config = self._config
+        try:
+            status = self._driver.status()
+        except DeviceLost as error:
+            self.rejected["corrupt"] += 1
+            self._count_wait(config.answer, config.silence, str(error))
+            return
+        self._waits = 0
+        if status.state != wire.ACTIVE:
+            cure = "activate it, which closes the fingers, before sensors are on them"
+            raise DeviceLost(f"{self._where}: {status.text}; {cure}")
+        self._inbox.put(
+            {
+                "value": config.opening(status.position),
+                "commanded": config.opening(status.requested),
+                "current": status.current,
+                "object": status.object,
+                "fault": status.fault,
+            }
+        )
+
+    def _release(self) -> None:
+        self._driver.close()

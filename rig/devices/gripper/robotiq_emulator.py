@@ -13,18 +13,23 @@ rate works. Faults are injected through rig.core.fault_injection, with these in 
 
 import contextlib
 import os
+import queue
 import select
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rig.core.clock import SECOND_NS, Clock
-from rig.core.emulation import EmulatorConfig, Pty, PtyEmulator, Served
+from rig.core.clock import SECOND_NS, Clock, Pacer
+from rig.core.emulation import Pty, PtyEmulator, Served, SharedWorld
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
+from rig.core.playback import PlayableConfig, Playback
+from rig.core.samples import HAND_TRUTH
+from rig.core.shared_memory import SharedLatest
 from rig.devices.gripper import robotiq_wire as wire
-from rig.devices.gripper.settings import RobotiqConfig
+from rig.devices.gripper.settings import HandConfig
 
 # Behaviour of the emulated gripper: activation, movement, the object, faults. No I/O.
 #
@@ -39,24 +44,54 @@ _OPEN, _CLOSED = 3, 230
 _SILENT_NS = SECOND_NS
 # Motor current [A].
 _HOLDING_CURRENT, _MOVING_CURRENT = 0.06, 0.2
+# Force at rFR 0 and 255 [N], of a 2F-85.
+_WEAKEST, _STRONGEST = 20.0, 235.0
+# Rate at which a World follows a hand.
+_CYCLES_HZ = 250.0
+
+
+class Hand:
+    """Links of a hand's fingers to its World, by records of their opening and of one's state."""
+
+    def __init__(self, device: HandConfig, hand: Path, world: Path | None) -> None:
+        self._device, self._world = device, SharedWorld(world)
+        self._record = SharedLatest.attach(hand, HAND_TRUTH, writable=True)
+
+    @property
+    def force(self) -> float:
+        """Force on a finger [N]."""
+        return -float(self._world.state()[1]["wrench"][2])
+
+    def tell(self, t_ns: int, position: float) -> None:
+        """Tell the World a position in counts."""
+        self._record.write((t_ns, self._device.opening(position)))
 
 
 class Fingers:
     """Model of a 2F gripper, as seen in its registers.
 
     Closing fingers meet the object at `object_at`, counts, if there is one; `holding` starts
-    activated and closed on it.
+    activated and closed on it. Those of a `hand` are active, and meet what is in its World.
     """
 
-    def __init__(self, clock: Clock, *, object_at: int | None, holding: bool = False) -> None:
-        self._clock = clock
-        self._object_at = object_at
+    def __init__(
+        self,
+        clock: Clock,
+        *,
+        object_at: int | None = None,
+        holding: bool = False,
+        hand: Hand | None = None,
+    ) -> None:
+        self._clock, self.hand = clock, hand
+        self._object_at: float | None = object_at
         self._command = wire.GripperCommand(activate=False)
         self._state = wire.RESET
         self._activated_ns = 0
         self._position = float(_OPEN)
         self._moved_ns = self._heard_ns = clock.now_ns()
         self._fault = 0
+        if hand is not None:
+            self._command, self._state = wire.GripperCommand(position=_OPEN), wire.ACTIVE
         if holding:
             if object_at is None:
                 raise ValueError("holding: nothing to hold; allowed: with an object")
@@ -65,7 +100,7 @@ class Fingers:
 
     def obey(self, command: wire.GripperCommand) -> None:
         """Execute the command that was written to the registers."""
-        self._advance()
+        self.advance()
         if not command.activate:
             self._state, self._fault = wire.RESET, 0
         elif not self._command.activate:
@@ -83,7 +118,7 @@ class Fingers:
 
     def status(self) -> wire.GripperStatus:
         """Return the current status; the fault of a silence is reported once."""
-        self._advance()
+        self.advance()
         command, fault = self._command, self._fault
         if fault == wire.SILENT_FAULT:
             self._fault = 0
@@ -104,26 +139,32 @@ class Fingers:
 
     def lose_grip(self) -> None:
         """Remove the object: the fingers close further and find nothing."""
-        self._advance()
+        self.advance()
         self._object_at = None
 
     def slip(self, counts: int) -> None:
         """Let the fingers close by `counts` while still holding: the object turned or crept."""
-        self._advance()
+        self.advance()
         if self._object_at is not None:
             self._object_at += counts
             self._position = float(self._object_at)
 
     def insert(self, at: int) -> None:
         """Put an object between open fingers."""
-        self._advance()
+        self.advance()
         self._object_at = at
 
     def fail(self, fault: int) -> None:
         """Report this fault code until the gripper is reset."""
         self._fault = fault
 
-    def _advance(self) -> None:
+    def advance(self) -> None:
+        """Move until now, and tell it the World of a hand."""
+        self._move()
+        if self.hand is not None:
+            self.hand.tell(self._moved_ns, self._position)
+
+    def _move(self) -> None:
         now_ns = self._clock.now_ns()
         elapsed, self._moved_ns = (now_ns - self._moved_ns) / SECOND_NS, now_ns
         if self._state == wire.ACTIVATING and now_ns - self._activated_ns >= ACTIVATION * SECOND_NS:
@@ -140,6 +181,9 @@ class Fingers:
 
     def _goal(self) -> float:
         goal = float(min(max(self._command.position, _OPEN), _CLOSED))
+        if self.hand is not None and goal > self._position:
+            most = _WEAKEST + self._command.force / 255 * (_STRONGEST - _WEAKEST)
+            self._object_at = self._position if self.hand.force >= most else None
         if self._object_at is not None and goal > self._object_at >= self._position:
             return float(self._object_at)
         return goal
@@ -155,15 +199,60 @@ class Fingers:
 
 # A pause this long ends a frame, as 3.5 characters do on a wire; a pty delivers in chunks [s].
 _GAP = 0.02
+# Questions of a driver before a playback starts.
+_BEFORE = 3
+
+
+class Tape:
+    """Recorded statuses, each for one question; the first is also for those before the start."""
+
+    def __init__(self, playback: Playback, device: HandConfig) -> None:
+        self._playback, self._device = playback, device
+        self._due: queue.SimpleQueue[int | None] = queue.SimpleQueue()
+        for _ in range(_BEFORE):
+            self._due.put(0)
+
+    def run(self, ending: threading.Event) -> None:
+        """Play the recording."""
+        self._playback.run(self._due.put, window=1, ending=ending, wake=lambda: self._due.put(None))
+
+    def next(self, ending: threading.Event) -> wire.GripperStatus | None:
+        """Return the next status once it is due; None at the end."""
+        while self._due.empty():
+            if ending.wait(_GAP / 10):
+                return None
+        if (place := self._due.get()) is None:
+            return None
+        stream, row = self._playback.recorded.stream, self._playback.recorded.rows[place]
+        now = {name: stream.array(name)[row] for name in stream.names}
+        return wire.GripperStatus(
+            active=True,
+            going=True,
+            state=wire.ACTIVE,
+            object=int(now["object"]),
+            fault=int(now["fault"]),
+            requested=self._device.position(now["commanded"]),
+            position=self._device.position(now["value"]),
+            current=float(now["current"]),
+        )
 
 
 class RobotiqEmulator(PtyEmulator):
     """An emulated gripper, which behaves like `fingers`, on a pty that `link` leads to."""
 
     def __init__(
-        self, fingers: Fingers, link: Path, clock: Clock, *, slave: int = 9, seed: int = 0
+        self,
+        fingers: Fingers,
+        link: Path,
+        clock: Clock,
+        *,
+        slave: int = 9,
+        seed: int = 0,
+        delay: float = 0.0,
+        tape: Tape | None = None,
     ) -> None:
         super().__init__(link)
+        self._clock, self._delay, self._tape = clock, delay, tape
         self.fingers = fingers
         self.faults = FaultInjector[bytes](clock, spoil=corrupted_bytes, seed=seed)
         self.requests = 0
@@ -186,6 +275,21 @@ class RobotiqEmulator(PtyEmulator):
         else:
             line = self.faults.inject(fault, **values)
         return {**line, "requests": self.requests}
+
+    def start(self) -> None:
+        """Create the pty, serve, and move with a World or a recording."""
+        super().start()
+        more = [self._move] if self.fingers.hand else []
+        for target in more + ([partial(self._tape.run, self._ending)] if self._tape else []):
+            self._threads.append(threading.Thread(target=target))
+            self._threads[-1].start()
+
+    def _move(self) -> None:
+        pacer = Pacer(self._clock, _CYCLES_HZ)
+        while not self._ending.is_set():
+            pacer.wait()
+            with self._lock:
+                self.fingers.advance()
 
     def _serve(self) -> None:
         pending = b""
@@ -220,6 +324,7 @@ class RobotiqEmulator(PtyEmulator):
             with self._lock:
                 reply = self._answer(request)
             self.requests += 1
+            self._ending.wait(self._delay)
             for message in self.faults.passed(reply):
                 os.write(fd, message)
         return pending
@@ -240,24 +345,37 @@ class RobotiqEmulator(PtyEmulator):
             return wire.emit_refusal(request, wire.ILLEGAL_ADDRESS)
         if request.count < 1:
             return wire.emit_refusal(request, wire.ILLEGAL_VALUE)
-        registers = wire.emit_status(self.fingers.status())
+        status = self.fingers.status() if self._tape is None else self._tape.next(self._ending)
+        if status is None:
+            return b"\0"  # wakes a driver that waits
+        registers = wire.emit_status(status)
         return wire.emit_reply(request, registers[first : first + request.count])
 
 
 @dataclass(frozen=True, slots=True)
-class RobotiqEmulatorConfig(EmulatorConfig):
+class RobotiqEmulatorConfig(PlayableConfig):
     """Port and object of the emulated gripper."""
 
-    device: RobotiqConfig
+    device: HandConfig
     holding: bool = False
     """Start activated and closed on the object."""
+    hand: Path | None = None
+    """Record of the opening, for the World of a hand; None: an object at `object_mock`."""
+    delay: float = field(default=0.0, metadata={"unit": "ms"})
+    """Time until an answer is sent [s]."""
 
 
 def emulate(settings: RobotiqEmulatorConfig, clock: Clock) -> Served:
     """Return the emulated gripper, with the object at `object_mock` of its device."""
-    device = settings.device
-    fingers = Fingers(clock, object_at=device.object_mock, holding=settings.holding)
-    emulator = RobotiqEmulator(
-        fingers, Path(device.port), clock, slave=device.slave, seed=settings.seed
-    )
+    device, tape = settings.device, None
+    if (playback := settings.playback(clock)) is not None:
+        made = playback.recorded.stream.attrs["device"]
+        device = replace(device, **{key: made[key] for key in ("slave", "per_count", "closed")})
+        tape = Tape(playback, device)
+    if settings.hand is None:
+        fingers = Fingers(clock, object_at=device.object_mock, holding=settings.holding)
+    else:
+        fingers = Fingers(clock, hand=Hand(device, settings.hand, settings.world))
+    port, line = Path(device.port), {"slave": device.slave, "seed": settings.seed}
+    emulator = RobotiqEmulator(fingers, port, clock, **line, delay=settings.delay, tape=tape)
     return Served("gripper", emulator, emulator.inject)

@@ -43,3 +43,32 @@ class RobotiqConfig:
             raise ValueError(
                 f"position_tolerance: {self.position_tolerance}; allowed: 1 or more counts"
             )
+
+
+@dataclass(frozen=True, slots=True)
+class HandConfig(RobotiqConfig):
+    """Settings of a gripper with a sensor on each finger, whose status is a stream."""
+
+    STREAM: ClassVar[str] = "gripper"
+
+    per_count: float = field(default=0.37e-3, metadata={"unit": "mm", "plausible": (0.001, 1)})
+    """Opening per count [m]: 85 mm over 230 counts of a 2F-85."""
+    closed: int = 230
+    """Position at which the undeformed skins touch, counts."""
+    speed: int = 0
+    force: int = 0
+
+    def __post_init__(self) -> None:
+        super(HandConfig, self).__post_init__()
+        if not self.per_count > 0:
+            raise ValueError(f"per_count: {self.per_count!r}; allowed: above 0")
+        if not 3 < self.closed <= 255:
+            raise ValueError(f"closed: {self.closed!r}; allowed: 4 to 255")
+
+    def opening(self, position: float) -> float:
+        """Return the distance between the undeformed skins at a position in counts [m]."""
+        return (self.closed - position) * self.per_count
+
+    def position(self, opening: float) -> int:
+        """Return the position whose opening is nearest to one [m], 0 to 255."""
+        return min(max(round(self.closed - opening / self.per_count), 0), 255)

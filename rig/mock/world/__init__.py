@@ -6,14 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.bench.worlds import Noise, WorldSpec
+from rig.bench.worlds import WorldSpec
 from rig.core.config import build, read_yaml
 from rig.mock.world.contact import World, tip_of
-from rig.mock.world.lab import Exposure
 from rig.mock.world.ladder import LadderSurface, LadderWorld
-from rig.mock.world.picture import MarkerPicture
-from rig.mock.world.sensors import markers_of, pad_of
+from rig.mock.world.sensors import pad_of
 from rig.mock.world.simulated import Between, SimulatedSurface, SimulatedWorld
+from rig.mock.world.views import reading_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +26,8 @@ class WorldConfig:
     """Run folder with the shared records."""
     indenter: str = ""
     """Name of the indenter on the arm."""
+    faces: tuple[tuple[str, float], ...] = ()
+    """Indenter and friction factor of each object that a finger presses, by its number."""
     truth: Path | None = None
     """File to log every state to, for tests."""
     host: str = "127.0.0.1"
@@ -38,7 +39,7 @@ class WorldConfig:
         """Return a function of a WORLD_STATE: how points (n, 2) [m] move (n, 3) [m]."""
         if self.world.tier == "layer":
             return SimulatedSurface(self.world, self.folder, points)
-        return LadderSurface(self.world, self.indenter, points)
+        return LadderSurface(self.world, self.indenter, points, self.faces)
 
 
 def build_world(settings: WorldConfig) -> World:
@@ -58,29 +59,16 @@ def load_view(path: Path, kind: str = "camera") -> Callable[[np.void], np.ndarra
         ConfigError: The document is invalid, or the World has no such sensor.
     """
     settings = build(WorldConfig, read_yaml(path), str(path))
-    if kind == "taxels":
+    if kind == "taxels" and settings.world.tier == "layer":
         return _counts(settings)
-    spec = settings.world
-    markers = markers_of(spec)
-    surface = settings.surface(markers.points)
-    picture = MarkerPicture(
-        background=spec.background,
-        ink=spec.ink,
-        light=spec.light,
-        grey_noise=(spec.noise or Noise()).grey,
-    )
-    exposure = Exposure(spec.lab)
-    return lambda state: exposure.passed(
-        picture.image(markers.outlines(surface(state))), int(state["t_ns"])
-    )
+    reading = reading_of(settings.world, kind)
+    surface = settings.surface(reading.points)
+    return lambda state: reading.read(surface(state), int(state["t_ns"]))
 
 
 def _counts(settings: WorldConfig) -> Callable[[np.void], np.ndarray]:
-    points, counts = pad_of(settings.world)
-    if settings.world.tier == "layer":
-        solution = Between(settings.world, settings.folder)
-        return lambda state: np.clip(
-            solution.at(int(state["t_ns"]), tip_of(state))[6:], 0, 65535
-        ).reshape(-1, 3)
-    surface = settings.surface(points)
-    return lambda state: counts(surface(state))
+    pad_of(settings.world)
+    solution = Between(settings.world, settings.folder)
+    return lambda state: np.clip(
+        solution.at(int(state["t_ns"]), tip_of(state))[6:], 0, 65535
+    ).reshape(-1, 3)

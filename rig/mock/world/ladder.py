@@ -1,6 +1,7 @@
 """LadderWorld: the paper's experiment by superposed presses, light enough for every cycle."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -8,7 +9,7 @@ from rig.bench.worlds import Grip, WorldSpec
 from rig.core.clock import SECOND_NS
 from rig.mock.world.contact import ContactFrame, tip_of
 from rig.mock.world.lab import Skin
-from rig.mock.world.sensors import dome_of, ladder_press, row_of
+from rig.mock.world.sensors import dome_of, ladder_of, ladder_press, row_of
 
 
 class LadderWorld:
@@ -59,18 +60,34 @@ class Held:
 
 
 class LadderSurface:
-    """Displacement of a skin's points for the states that a LadderWorld publishes.
+    """Displacement of a skin's points for the states that a LadderWorld or a hand publishes.
+
+    `faces` are indenter and friction factor of each object of a hand, by its number.
 
     It presses along the tips of the states that it is given: the way between two is straight.
     """
 
-    def __init__(self, spec: WorldSpec, indenter: str, points: np.ndarray) -> None:
-        self._press = ladder_press(spec, indenter)
-        self._points = points
+    def __init__(
+        self,
+        spec: WorldSpec,
+        indenter: str,
+        points: np.ndarray,
+        faces: Sequence[tuple[str, float]] = (),
+    ) -> None:
+        faces = faces or ((indenter, 1.0),)
+        self._ladders = {face: ladder_of(spec, face) for face in dict(faces)}
+        for ladder in self._ladders.values():
+            ladder.fields  # noqa: B018, takes a while when it is first used
+        self._spec, self._faces, self._points = spec, faces, points
+        self._object = -1
         self._t_ns: int | None = None
 
     def __call__(self, state: np.void) -> np.ndarray:
         """Return the displacement (n, 3) [m] of the points."""
+        if self._object != (number := int(state["object"])):
+            self._object, self._t_ns = number, None
+            face, friction = self._faces[number]
+            self._press = ladder_press(self._spec, face, friction, self._ladders[face])
         t_ns = int(state["t_ns"])
         if t_ns != self._t_ns:
             seconds = 0.0 if self._t_ns is None else (t_ns - self._t_ns) / SECOND_NS

@@ -15,7 +15,8 @@ from rig.bench.worlds import WorldSpec
 from rig.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from sim.ladder import Ladder
+    from sim.ladder import Ahead as Ahead
+    from sim.ladder import Ladder as Ladder
     from sim.ladder import LadderPress as LadderPress
     from sim.sensors import SimulatedSensor
     from sim.stream import LiveMarkers, Sampler
@@ -72,13 +73,18 @@ def ladder_of(spec: WorldSpec, indenter: str) -> Ladder:
         return Ladder.of(body_of(indenter, row.body.thickness), row)
 
 
-def ladder_press(spec: WorldSpec, indenter: str) -> LadderPress:
-    """Return the press of a World of tier `ladder`, under the indenter of that name."""
-    ladder, effects = ladder_of(spec, indenter), row_of(spec).effects
+def ladder_press(
+    spec: WorldSpec, indenter: str, friction: float = 1.0, ladder: Ladder | None = None
+) -> LadderPress:
+    """Return the press of a World of tier `ladder`, under the indenter of that name.
+
+    Its friction is that of the row times `friction`; a `ladder` of both is read unless given.
+    """
+    ladder, effects = ladder or ladder_of(spec, indenter), row_of(spec).effects
     from sim.ladder import LadderPress
 
-    friction = effects.friction.coefficient if effects.friction else 0.0
-    return LadderPress(ladder, friction, effects.viscosity)
+    coefficient = effects.friction.coefficient if effects.friction else 0.0
+    return LadderPress(ladder, friction * coefficient, effects.viscosity)
 
 
 def live_sensor(spec: WorldSpec, indenter: str) -> LiveSensor:
