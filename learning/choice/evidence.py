@@ -11,11 +11,12 @@ from typing import Any
 from learning.config import READER
 
 # Origins of labels, the best first, and words for them.
-OWN, TWIN, SOURCE = "own", "twin", "source"
+OWN, TWIN, SOURCE, BALANCE = "own", "twin", "source", "balance"
 LABELS = {
     OWN: "its own labels",
     TWIN: "the forces of its twin",
     SOURCE: "another sensor's labels",
+    BALANCE: "balance with the other finger of a hand",
 }
 FILE = Path(__file__).with_name("evidence.yaml")
 

@@ -1,0 +1,204 @@
+"""Labels of a finger by balance: from the other finger's model, or from known weights alone."""
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from learning.choice.candidates import candidates_of
+from learning.choice.nested import folds_of
+from learning.choice.run import Origin, Request, Say
+from learning.data.matching import SensorSelection
+from learning.data.presses import load_presses
+from learning.errors import LearningError
+from learning.force.calibrate import shapes
+from learning.force.closed_form import INPUTS, steps
+from learning.force.folder import model_name
+from learning.force.intervals import AxisError, Scale, read_intervals
+from learning.force.labels import LabelSource, Relabelling
+from learning.force.loading import load_force_model
+from learning.force.made_for import made_for
+from learning.force.model import prepared_rows
+from learning.training.checkpoint import MODEL, weights_hash
+from learning.transfer.scale import forces_at
+from learning.transfer.squeezes import Squeezes, squeezes
+from learning.transfer.weights import Balanced, Weighed, weigh_balanced
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# Way whose models learn the signals of fingers, and rounds in which either learns of the other.
+WAY, ROUNDS = "kernel", 3
+# Frames prepared at once.
+_AT_ONCE = 512
+# What no balance tells, for every card.
+NORMAL_ALONE = (
+    "Fx and Fy are unknown (NaN): balance gives the force along the grip axis alone; how both "
+    "fingers divide the weight across it does not follow from it"
+)
+INTERPOLATED = (
+    "the curve of force is interpolated from one held step to the next: no weight was compared "
+    "there, and a sudden bend would not be within the intervals"
+)
+
+
+def by_model(one: Request, model: str, say: Say) -> Origin:
+    """Return labels by the forces that a model predicts on the other finger, and their errors.
+
+    Raises:
+        LearningError: The model has no interval of Fz or is of another sensor, or no frames pair.
+    """
+    pairs, source = _pairs(one)
+    folder = Path(model_name(model))
+    intervals = read_intervals(folder)
+    if intervals is None or (axis := intervals.axes[2]) is None:
+        raise LearningError(
+            f"--source-model: found {folder} without an interval of Fz; allowed: a model of "
+            f"`tactile force` of {source.name}"
+        )
+    names = [each.sensor for each in made_for(folder)]
+    if source.name not in names:
+        raise LearningError(
+            f"--source-model: found a model of {', '.join(names)}; allowed: one of {source.name}, "
+            f"or --source {source.archive.name}:{source.sensor}=NAME, the model's name of it"
+        )
+    rows, back = np.unique(pairs.others, return_inverse=True)
+    predicted = forces_at(source.archived, rows, load_force_model(folder))
+    unlike = intervals.is_outside(predicted, shapes(source.archived, rows))[back] & pairs.held
+    forces, used = predicted[back], pairs.held & ~unlike
+    if not used.any():
+        raise LearningError(
+            f"--source-model: flags all {pairs.held.sum():,} squeezed frames of {source.name} as "
+            "unlike those it learned; allowed: a model that knows such contacts"
+        )
+    say(
+        f"{used.sum():,} frames labelled by balance with {source.name}; {unlike.sum():,} left out, "
+        "as they are unlike those that its model learned"
+    )
+    # Its error grows with its whole force, of which the labels have Fz alone.
+    sizes = np.sqrt(np.nansum(np.square(forces[used]), axis=1))
+    slope = axis.slope * float(sizes.sum() / np.abs(forces[used, 2]).sum())
+    fz = np.where(pairs.held, forces[:, 2] - pairs.weight, 0.0)
+    fz[unlike] = np.nan
+    scale = replace(intervals.scale, source=f"that of {source.name}: {intervals.scale.source}")
+    labels = _labels(one, pairs, fz, weights_hash(folder / f"{MODEL}.safetensors"))
+    text = f"forces of {source.name}'s model, less the weight"
+    error = AxisError(axis.base, slope)
+    return Origin(labels, scale, text, "transferred", source.name, error, (NORMAL_ALONE,))
+
+
+def by_weights(one: Request, say: Say) -> Origin:
+    """Return labels by balance and known weights alone; neither finger has a model or a label.
+
+    In turn a model of either finger learns the force that the other one's curve and the weight
+    give it, and its predictions on objects left out are the finger's next signal. What one finger
+    alone shows, such as the shape that it touches, does not help to predict the other's force.
+
+    Raises:
+        LearningError: Too few weights or steps, or no frames pair.
+    """
+    pairs, source = _pairs(one)
+    if pairs.held.all():
+        raise LearningError(
+            f"{one.sensor.sensor}: found no still frame at step 0; allowed: squeezes that begin "
+            "without contact, where forces are 0"
+        )
+    fingers = _Finger(one, one.sensor, pairs.rows), _Finger(one, source, pairs.others)
+    signals = np.stack([finger.change() for finger in fingers])
+    for left in range(ROUNDS, -1, -1):
+        signals -= signals[:, ~pairs.held].mean(axis=1, keepdims=True)
+        weighed = weigh_balanced(_balanced(pairs, signals))
+        own, other = (curve(each) for curve, each in zip(weighed.curves, signals, strict=True))
+        labels = np.where(pairs.held, (other + pairs.weight, own - pairs.weight), 0.0)
+        if left:
+            signals = np.stack([fingers[k].learned(labels[k]) for k in (0, 1)])
+    _report(weighed, say)
+    largest = np.abs(pairs.weight).max()
+    text = f"balance with {source.name} and weights of up to {largest:.2f} N along the grip axis"
+    scale = Scale(1.0, text, assumed=False)
+    origin = _labels(one, pairs, -labels[0], "weights")
+    notes = (NORMAL_ALONE, INTERPOLATED)
+    return Origin(origin, scale, text, "transferred", source.name, weighed.error(1), notes)
+
+
+def _pairs(one: Request) -> tuple[Squeezes, SensorSelection]:
+    """Return the squeezes of objects that may be learned, and the other finger."""
+    if one.source is None:
+        raise LearningError("--source: missing; allowed: the other finger, X.markers.zarr")
+    pairs = squeezes(one.sensor, one.source)
+    usable = one.sensor.archived.table["seen"][pairs.rows]
+    if one.unseen is not None:
+        names = np.array(one.sensor.archive.indenters)
+        usable = ~np.isin(names[pairs.indenter], one.unseen)
+    return pairs.only(usable), one.source
+
+
+def _labels(one: Request, pairs: Squeezes, fz: Floats, made_from: str) -> LabelSource:
+    """Return Fz of pairs (n,) [N] as labels of the sensor's rows; NaN elsewhere."""
+    forces = np.full((len(one.sensor.archived), 3), np.nan)
+    forces[pairs.rows, 2] = fz
+    digest = hashlib.sha256(forces.tobytes()).hexdigest()
+    return LabelSource(Relabelling(lambda rows, *_: forces[rows]), ("balance", made_from, digest))
+
+
+def _balanced(pairs: Squeezes, signals: Floats) -> Balanced:
+    """Return the mean signals (2, k) of each held step, of frames (2, n)."""
+    held = pairs.held
+    keys = np.stack([pairs.squeeze, pairs.step], axis=1)[held]
+    _, first, of = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    counts = np.bincount(of.reshape(-1))
+    means = [np.bincount(of.reshape(-1), each[held]) / counts for each in signals]
+    group = pairs.indenter if len(np.unique(pairs.indenter)) > 1 else pairs.squeeze
+    some = np.flatnonzero(held)[first]
+    return Balanced(np.stack(means), pairs.weight[some], pairs.step[some], group[some])
+
+
+def _report(weighed: Weighed, say: Say) -> None:
+    """Print the force of the other finger's curve at parts of the range, with its error."""
+    force, half = weighed.forces[1], weighed.half_width[1]
+    for at in (0.2, 0.5, 0.8):
+        error = 100 * float(np.interp(at * force[-1], force, half / force))
+        say(f"forces of {at * force[-1]:.2f} N by weights: +- {error:.1f} % at 90 %")
+
+
+class _Finger:
+    """Frames of a finger, of which a model learns the force."""
+
+    def __init__(self, one: Request, finger: SensorSelection, rows: Integers) -> None:
+        table = finger.archived.table
+        ways = {way.name: way for way in candidates_of(finger.archived)}
+        self._way, self._seed = ways[WAY], one.seed
+        whole = np.isin(table["location"], np.unique(table["location"][rows])) & table["valid"]
+        self._presses = load_presses(
+            finger.archived, np.flatnonzero(whole), device=one.device, form=self._way.form
+        )
+        own = self._presses.rows.numpy()
+        order = np.argsort(own)
+        self._at = order[np.searchsorted(own, rows, sorter=order)]
+
+    def change(self) -> Floats:
+        """Return the mean step from place to place of each frame (n,), which grows with force."""
+        inputs = INPUTS[self._presses.form]
+        parts = torch.from_numpy(self._at).to(self._presses.device).split(_AT_ONCE)
+        each = [steps(prepared_rows(self._presses, rows, inputs)).mean((1, 2, 3)) for rows in parts]
+        return torch.cat(each).double().cpu().numpy()
+
+    def learned(self, forces: Floats) -> Floats:
+        """Return the force of each frame (n,) [N], of models that learn (n,) of other objects."""
+        labels = np.full((self._presses.frames, 3), np.nan, np.float32)
+        labels[self._at, 2] = forces
+        wrench = torch.from_numpy(labels).to(self._presses.device)
+        presses = replace(self._presses, wrench=wrench)
+        codes = np.unique(presses.indenter.numpy()).tolist()
+        of_frame = presses.indenter[presses.of_frame].numpy()
+        predicted = np.full(presses.frames, np.nan)
+        for fold in folds_of(codes, self._seed):
+            # A single object is not left out: then there is nothing to learn from.
+            model = self._way.train(presses, self._seed, fold if len(codes) > 1 else frozenset())
+            inside = np.isin(presses.indenter.numpy(), sorted(fold))
+            forces_of = model.predict(presses.only(torch.from_numpy(inside)))[:, 2]
+            predicted[np.isin(of_frame, sorted(fold))] = forces_of
+        return predicted[self._at]

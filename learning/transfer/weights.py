@@ -1,0 +1,203 @@
+"""Forces of two fingers by balance and known weights alone: one curve each, from signal to newtons.
+
+Balance says that the forces of both fingers on one object differ by its weight's component along
+the grip axis. Without such weights it leaves a common monotone function free; a known weight, on
+one finger and then on the other at the same steps, fixes it at the forces of these steps.
+
+Both signals have errors. Least squares would shrink the curves, as errors of signals then look like
+signals (errors in variables). So residuals of the balance are made orthogonal to what has no error:
+the steps, and the weights at the steps (instrumental variables). Errors of the curves are those of
+leaving objects out one by one (jackknife).
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from learning.errors import LearningError
+from learning.force.intervals import COVERAGE, AxisError
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# Powers of the signal that a curve begins with; below this part of the largest signal it is linear.
+POWERS, LINEAR = np.array([0.75, 1.0, 1.5]), 0.01
+# Pieces of the correction of each curve, and the penalty on its bends.
+PIECES, BENDS = 4, 0.3
+# Steps of the squeeze that are told apart; fewest at which weights differ.
+STEPS, FEWEST = 5, 5
+# Error of a balance without force, over that at the largest one.
+LEAST_ERROR = 0.05
+# Forces, over the largest, at which errors are taken.
+AT = np.linspace(0.1, 1.0, 10)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Balanced:
+    """Signals of two fingers on n squeezed objects, 0 without contact, and the known difference."""
+
+    signals: Floats
+    """Signal of either finger (2, n), increasing with the normal force."""
+    weight: Floats
+    """Force on the first finger less that on the second (n,) [N]."""
+    step: Integers
+    """Step of the squeeze (n,)."""
+    group: Integers
+    """What errors are common to (n,), such as the object."""
+
+    def only(self, chosen: NDArray[np.bool_]) -> Self:
+        """Return some of them."""
+        return type(self)(
+            self.signals[:, chosen], self.weight[chosen], self.step[chosen], self.group[chosen]
+        )
+
+    def require_weights(self) -> None:
+        """Reject squeezes from which no newtons follow."""
+        steps = np.unique(self.step)
+        loaded = [step for step in steps if np.ptp(self.weight[self.step == step]) > 0]
+        if len(loaded) < FEWEST or len(np.unique(self.group)) < 2:
+            raise LearningError(
+                f"squeezes: found {len(loaded)} of {len(steps)} steps at which known weights load "
+                f"the fingers differently, in {len(np.unique(self.group))} squeezes or objects; "
+                f"allowed: {FEWEST} steps or more, each with the weight on one finger and on the "
+                "other (turn x = 1 and -1), twice or more; or --source-model"
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curve:
+    """Normal force of a finger by its signal."""
+
+    largest: float
+    """Largest signal learned from."""
+    coefficients: Floats
+    """Of `POWERS` of the signal over the largest one (3,) [N]."""
+    knots: Floats
+    """Forces by these powers (p + 1,) [N]."""
+    forces: Floats
+    """Forces at the knots (p + 1,) [N], linear from one to the next and beyond the last."""
+
+    def __call__(self, signals: Floats) -> Floats:
+        """Return the forces (n,) [N] at signals (n,)."""
+        start = _powers(np.asarray(signals, np.float64) / self.largest) @ self.coefficients
+        return _hats(start, self.knots) @ self.forces[1:]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighed:
+    """Curves of both fingers, and their errors."""
+
+    curves: tuple[Curve, Curve]
+    forces: Floats
+    """Forces of either finger (2, 10) [N] at which the errors are."""
+    half_width: Floats
+    """Half-widths of 90 % intervals of these (2, 10) [N]."""
+
+    def error(self, finger: int) -> AxisError:
+        """Return a line above the half-widths of a finger."""
+        force, half = self.forces[finger], self.half_width[finger]
+        slope = float((half / force)[force >= 0.5 * force.max()].max())
+        return AxisError(float(max(0.0, (half - slope * force).max())), slope)
+
+
+def weigh_balanced(some: Balanced) -> Weighed:
+    """Return the curves of both fingers.
+
+    Raises:
+        LearningError: Too few weights, or curves that do not rise with the signal.
+    """
+    some.require_weights()
+    curves = _fit(some)
+    ends = [np.quantile(signal, 0.98) for signal in some.signals]
+    at = [
+        _inverse(curve, AT * float(curve(np.array([end]))[0]), end)
+        for curve, end in zip(curves, ends, strict=True)
+    ]
+    groups = np.unique(some.group)
+    left_out = []
+    for group in groups:
+        pair = _fit(some.only(some.group != group))
+        left_out.append([curve(signals) for curve, signals in zip(pair, at, strict=True)])
+    apart = np.array(left_out) - np.mean(left_out, axis=0)
+    count = len(groups)
+    error = np.sqrt((count - 1) / count * np.square(apart).sum(axis=0))
+    half = float(student.ppf(0.5 + COVERAGE / 2, count - 1)) * error
+    return Weighed(curves, np.stack([curve(s) for curve, s in zip(curves, at, strict=True)]), half)
+
+
+def _fit(some: Balanced) -> tuple[Curve, Curve]:
+    """Return curves for which the balance has no part along the instruments."""
+    largest = some.signals.max(axis=1)
+    relative = some.signals / largest[:, None]
+    size = np.array([relative[:, some.step == step].mean() for step in np.unique(some.step)])
+    weight = 1.0 / (LEAST_ERROR + size[np.unique(some.step, return_inverse=True)[1]])
+    instruments = _instruments(some) * weight[:, None]
+
+    def solved(parts: list[Floats], penalty: Floats | None = None) -> list[Floats]:
+        columns = np.hstack([parts[0], -parts[1]]) * weight[:, None]
+        return np.split(_projected(columns, some.weight * weight, instruments, penalty), 2)
+
+    powers = [_powers(each) for each in relative]
+    coefficients = solved(powers)
+    starts = [each @ own for each, own in zip(powers, coefficients, strict=True)]
+    knots = [np.linspace(0.0, max(each.max(), 1e-9), PIECES + 1) for each in starts]
+    bends = np.kron(np.eye(2), BENDS * PIECES * np.diff(np.eye(PIECES + 1), 2, axis=0)[:, 1:])
+    forces = solved([_hats(*each) for each in zip(starts, knots, strict=True)], bends)
+    curves = [
+        Curve(float(most), own, knot, np.r_[0.0, force])
+        for most, own, knot, force in zip(largest, coefficients, knots, forces, strict=True)
+    ]
+    for curve in curves:
+        if not (np.diff(curve(np.linspace(0.0, curve.largest, 21))) > 0).all():
+            raise LearningError(
+                "squeezes: found signals from which no rising force follows; allowed: weights and "
+                "steps that the fingers feel clearly, on more objects or turns"
+            )
+    return curves[0], curves[1]
+
+
+def _powers(relative: Floats) -> Floats:
+    """Return powers (n, 3) of signals (n,) over the largest one, linear and odd about 0."""
+    some = relative[:, None]
+    return np.where(
+        some > LINEAR, np.maximum(some, LINEAR) ** POWERS, some * LINEAR ** (POWERS - 1)
+    )
+
+
+def _hats(values: Floats, knots: Floats) -> Floats:
+    """Return weights (n, p) of the knots at values (n,); at the first knot functions are 0."""
+    at = np.clip(np.searchsorted(knots, values) - 1, 0, len(knots) - 2)
+    part = (values - knots[at]) / (knots[at + 1] - knots[at])
+    weights = np.zeros((len(values), len(knots)))
+    rows = np.arange(len(values))
+    weights[rows, at], weights[rows, at + 1] = 1 - part, part
+    return weights[:, 1:]
+
+
+def _instruments(some: Balanced) -> Floats:
+    """Return functions of steps, and of steps times weights (n, 2 k), which have no errors."""
+    steps = np.linspace(some.step.min(), some.step.max(), STEPS)
+    near = np.maximum(1 - np.abs(some.step[:, None] - steps) / (steps[1] - steps[0]), 0.0)
+    return np.hstack([near, some.weight[:, None] * near])
+
+
+def _projected(
+    columns: Floats, weight: Floats, instruments: Floats, penalty: Floats | None
+) -> Floats:
+    """Return the values that explain the weights best along the instruments."""
+    basis, _ = np.linalg.qr(instruments)
+    rows, wanted = basis.T @ columns, basis.T @ weight
+    if penalty is not None:
+        rows, wanted = np.vstack([rows, penalty]), np.r_[wanted, np.zeros(len(penalty))]
+    scale = np.linalg.norm(rows, axis=0)
+    values = np.linalg.lstsq(rows / scale, wanted, rcond=None)[0]
+    return np.asarray(values / scale)
+
+
+def _inverse(curve: Curve, forces: Floats, largest: float) -> Floats:
+    """Return the signals (n,) at which a rising curve has some forces."""
+    signals = np.linspace(0.0, largest, 400)
+    return np.interp(forces, curve(signals), signals)
