@@ -25,7 +25,7 @@ from learning.force.model import prepared_rows
 from learning.training.checkpoint import MODEL, weights_hash
 from learning.transfer.scale import forces_at
 from learning.transfer.squeezes import Squeezes, squeezes
-from learning.transfer.weights import Balanced, Weighed, weigh_balanced
+from learning.transfer.weights import Balanced, Curve, Weighed, straight, weigh_balanced
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -108,20 +108,19 @@ def by_weights(one: Request, say: Say) -> Origin:
         )
     fingers = _Finger(one, one.sensor, pairs.rows), _Finger(one, source, pairs.others)
     signals = np.stack([finger.change() for finger in fingers])
-    for left in range(ROUNDS, -1, -1):
-        signals -= signals[:, ~pairs.held].mean(axis=1, keepdims=True)
-        weighed = weigh_balanced(_balanced(pairs, signals))
-        own, other = (curve(each) for curve, each in zip(weighed.curves, signals, strict=True))
-        labels = np.where(pairs.held, (other + pairs.weight, own - pairs.weight), 0.0)
-        if left:
-            signals = np.stack([fingers[k].learned(labels[k]) for k in (0, 1)])
+    for _ in range(ROUNDS):
+        curves = straight(_balanced(pairs, signals))
+        labels = _by_other(pairs, curves, signals)
+        signals = np.stack([fingers[k].learned(labels[k]) for k in (0, 1)])
+    weighed = weigh_balanced(_balanced(pairs, signals))
+    fz = -_by_other(pairs, weighed.curves, signals)[0]
     _report(weighed, say)
     largest = np.abs(pairs.weight).max()
     text = f"balance with {source.name} and weights of up to {largest:.2f} N along the grip axis"
     scale = Scale(1.0, text, assumed=False)
-    origin = _labels(one, pairs, -labels[0], "weights")
+    labels_of = _labels(one, pairs, fz, "weights")
     notes = (NORMAL_ALONE, INTERPOLATED)
-    return Origin(origin, scale, text, "transferred", source.name, weighed.error(1), notes)
+    return Origin(labels_of, scale, text, "transferred", source.name, weighed.error(1), notes)
 
 
 def _pairs(one: Request) -> tuple[Squeezes, SensorSelection]:
@@ -144,13 +143,28 @@ def _labels(one: Request, pairs: Squeezes, fz: Floats, made_from: str) -> LabelS
     return LabelSource(Relabelling(lambda rows, *_: forces[rows]), ("balance", made_from, digest))
 
 
+def _by_other(pairs: Squeezes, curves: tuple[Curve, Curve], signals: Floats) -> Floats:
+    """Return the force of either finger (2, n) [N] by the other's signal (2, n) and the weight."""
+    own, other = (
+        curve(each) for curve, each in zip(curves, _from_rest(pairs, signals), strict=True)
+    )
+    return np.where(pairs.held, (other + pairs.weight, own - pairs.weight), 0.0)
+
+
+def _from_rest(pairs: Squeezes, signals: Floats) -> Floats:
+    """Return signals (2, n) less those without contact."""
+    return np.asarray(signals - signals[:, ~pairs.held].mean(axis=1, keepdims=True))
+
+
 def _balanced(pairs: Squeezes, signals: Floats) -> Balanced:
     """Return the mean signals (2, k) of each held step, of frames (2, n)."""
     held = pairs.held
     keys = np.stack([pairs.squeeze, pairs.step], axis=1)[held]
     _, first, of = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     counts = np.bincount(of.reshape(-1))
-    means = [np.bincount(of.reshape(-1), each[held]) / counts for each in signals]
+    means = [
+        np.bincount(of.reshape(-1), each[held]) / counts for each in _from_rest(pairs, signals)
+    ]
     group = pairs.indenter if len(np.unique(pairs.indenter)) > 1 else pairs.squeeze
     some = np.flatnonzero(held)[first]
     return Balanced(np.stack(means), pairs.weight[some], pairs.step[some], group[some])

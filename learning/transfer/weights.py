@@ -73,8 +73,10 @@ class Curve:
 
     largest: float
     """Largest signal learned from."""
+    powers: Floats
+    """Powers of the signal over the largest one, that it begins with (q,)."""
     coefficients: Floats
-    """Of `POWERS` of the signal over the largest one (3,) [N]."""
+    """Of these (q,) [N]."""
     knots: Floats
     """Forces by these powers (p + 1,) [N]."""
     forces: Floats
@@ -82,7 +84,7 @@ class Curve:
 
     def __call__(self, signals: Floats) -> Floats:
         """Return the forces (n,) [N] at signals (n,)."""
-        start = _powers(np.asarray(signals, np.float64) / self.largest) @ self.coefficients
+        start = _raised(signals / self.largest, self.powers) @ self.coefficients
         return _hats(start, self.knots) @ self.forces[1:]
 
 
@@ -111,6 +113,12 @@ def weigh_balanced(some: Balanced) -> Weighed:
     """
     some.require_weights()
     curves = _fit(some)
+    for curve in curves:
+        if not (np.diff(curve(np.linspace(0.0, curve.largest, 21))) > 0).all():
+            raise LearningError(
+                "squeezes: found signals from which no rising force follows; allowed: weights and "
+                "steps that the fingers feel clearly, on more objects or turns"
+            )
     ends = [np.quantile(signal, 0.98) for signal in some.signals]
     at = [
         _inverse(curve, AT * float(curve(np.array([end]))[0]), end)
@@ -128,7 +136,13 @@ def weigh_balanced(some: Balanced) -> Weighed:
     return Weighed(curves, np.stack([curve(s) for curve, s in zip(curves, at, strict=True)]), half)
 
 
-def _fit(some: Balanced) -> tuple[Curve, Curve]:
+def straight(some: Balanced) -> tuple[Curve, Curve]:
+    """Return lines in place of curves, for signals whose errors are still large."""
+    some.require_weights()
+    return _fit(some, np.ones(1), 1e3)
+
+
+def _fit(some: Balanced, powers: Floats = POWERS, stiff: float = BENDS) -> tuple[Curve, Curve]:
     """Return curves for which the balance has no part along the instruments."""
     largest = some.signals.max(axis=1)
     relative = some.signals / largest[:, None]
@@ -140,30 +154,26 @@ def _fit(some: Balanced) -> tuple[Curve, Curve]:
         columns = np.hstack([parts[0], -parts[1]]) * weight[:, None]
         return np.split(_projected(columns, some.weight * weight, instruments, penalty), 2)
 
-    powers = [_powers(each) for each in relative]
-    coefficients = solved(powers)
-    starts = [each @ own for each, own in zip(powers, coefficients, strict=True)]
+    raised = [_raised(each, powers) for each in relative]
+    coefficients = solved(raised)
+    starts = [each @ own for each, own in zip(raised, coefficients, strict=True)]
     knots = [np.linspace(0.0, max(each.max(), 1e-9), PIECES + 1) for each in starts]
-    bends = np.kron(np.eye(2), BENDS * PIECES * np.diff(np.eye(PIECES + 1), 2, axis=0)[:, 1:])
-    forces = solved([_hats(*each) for each in zip(starts, knots, strict=True)], bends)
-    curves = [
-        Curve(float(most), own, knot, np.r_[0.0, force])
-        for most, own, knot, force in zip(largest, coefficients, knots, forces, strict=True)
-    ]
-    for curve in curves:
-        if not (np.diff(curve(np.linspace(0.0, curve.largest, 21))) > 0).all():
-            raise LearningError(
-                "squeezes: found signals from which no rising force follows; allowed: weights and "
-                "steps that the fingers feel clearly, on more objects or turns"
-            )
-    return curves[0], curves[1]
+    bends: Floats = np.kron(
+        np.eye(2), stiff * PIECES * np.diff(np.eye(PIECES + 1), 2, axis=0)[:, 1:]
+    )
+    bent = solved([_hats(*each) for each in zip(starts, knots, strict=True)], bends)
+    first, second = (
+        Curve(float(most), powers, own, knot, np.r_[0.0, force])
+        for most, own, knot, force in zip(largest, coefficients, knots, bent, strict=True)
+    )
+    return first, second
 
 
-def _powers(relative: Floats) -> Floats:
-    """Return powers (n, 3) of signals (n,) over the largest one, linear and odd about 0."""
+def _raised(relative: Floats, powers: Floats) -> Floats:
+    """Return powers (n, q) of signals (n,) over the largest one, linear and odd about 0."""
     some = relative[:, None]
     return np.where(
-        some > LINEAR, np.maximum(some, LINEAR) ** POWERS, some * LINEAR ** (POWERS - 1)
+        some > LINEAR, np.maximum(some, LINEAR) ** powers, some * LINEAR ** (powers - 1)
     )
 
 
