@@ -8,14 +8,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from learning.choice.candidates import candidates_of
 from learning.choice.nested import folds_of
 from learning.choice.run import Origin, Request, Say
 from learning.data.matching import SensorSelection
-from learning.data.presses import load_presses
+from learning.data.presses import Form, load_presses
 from learning.errors import LearningError
 from learning.force.calibrate import shapes
-from learning.force.closed_form import INPUTS, steps
+from learning.force.closed_form import INPUTS, ridge, statistics
 from learning.force.folder import model_name
 from learning.force.intervals import AxisError, Scale, read_intervals
 from learning.force.labels import LabelSource, Relabelling
@@ -26,12 +25,15 @@ from learning.training.checkpoint import MODEL, weights_hash
 from learning.transfer.scale import forces_at
 from learning.transfer.squeezes import Squeezes, squeezes
 from learning.transfer.weights import Balanced, Curve, Weighed, straight, weigh_balanced
+from recorder.archive import MASKS
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-# Way whose models learn the signals of fingers, and rounds in which either learns of the other.
-WAY, ROUNDS = "kernel", 3
+# Rounds in which either finger learns the other's force, and the penalty of its ridge regression.
+ROUNDS, PENALTY = 4, 0.003
+# Columns of `statistics` whose mean is the first signal: the steps from place to place.
+STEPS = slice(3, 6)
 # Frames prepared at once.
 _AT_ONCE = 512
 # What no balance tells, for every card.
@@ -93,9 +95,9 @@ def by_model(one: Request, model: str, say: Say) -> Origin:
 def by_weights(one: Request, say: Say) -> Origin:
     """Return labels by balance and known weights alone; neither finger has a model or a label.
 
-    In turn a model of either finger learns the force that the other one's curve and the weight
-    give it, and its predictions on objects left out are the finger's next signal. What one finger
-    alone shows, such as the shape that it touches, does not help to predict the other's force.
+    In turn a regression of either finger learns the force that the other one's line and the weight
+    give it; its predictions on objects left out are the finger's next signal. Shapes that one
+    finger alone touches do not help to predict the other's force, so they go.
 
     Raises:
         LearningError: Too few weights or steps, or no frames pair.
@@ -106,12 +108,12 @@ def by_weights(one: Request, say: Say) -> Origin:
             f"{one.sensor.sensor}: found no still frame at step 0; allowed: squeezes that begin "
             "without contact, where forces are 0"
         )
-    fingers = _Finger(one, one.sensor, pairs.rows), _Finger(one, source, pairs.others)
-    signals = np.stack([finger.change() for finger in fingers])
+    fingers = _features(one, one.sensor, pairs.rows), _features(one, source, pairs.others)
+    signals = np.stack([features[:, STEPS].mean(axis=1) for features in fingers])
     for _ in range(ROUNDS):
-        curves = straight(_balanced(pairs, signals))
-        labels = _by_other(pairs, curves, signals)
-        signals = np.stack([fingers[k].learned(labels[k]) for k in (0, 1)])
+        labels = _by_other(pairs, straight(_balanced(pairs, signals)), signals)
+        both = zip(fingers, labels, strict=True)
+        signals = np.stack([_learned(*each, pairs.indenter, one.seed) for each in both])
     weighed = weigh_balanced(_balanced(pairs, signals))
     fz = -_by_other(pairs, weighed.curves, signals)[0]
     _report(weighed, say)
@@ -178,41 +180,31 @@ def _report(weighed: Weighed, say: Say) -> None:
         say(f"forces of {at * force[-1]:.2f} N by weights: +- {error:.1f} % at 90 %")
 
 
-class _Finger:
-    """Frames of a finger, of which a model learns the force."""
+def _features(one: Request, finger: SensorSelection, rows: Integers) -> Floats:
+    """Return statistics of a finger's frames with their squares and roots (n, 33)."""
+    form: Form = "field" if finger.archived.representation == MASKS else "shading"
+    table = finger.archived.table
+    whole = np.isin(table["location"], table["location"][rows]) & table["valid"]
+    frames = np.flatnonzero(whole)
+    presses = load_presses(finger.archived, frames, device=one.device, form=form)
+    order = np.searchsorted(frames, presses.rows.numpy())
+    values = np.zeros((len(frames), 11))
+    for some in torch.arange(len(frames)).split(_AT_ONCE):
+        prepared = prepared_rows(presses, some.to(presses.device), INPUTS[form])
+        values[order[some.numpy()]] = statistics(prepared, form).cpu().numpy()
+    own = values[np.searchsorted(frames, rows)]
+    return np.hstack([own, own**2, np.sqrt(np.abs(own))])
 
-    def __init__(self, one: Request, finger: SensorSelection, rows: Integers) -> None:
-        table = finger.archived.table
-        ways = {way.name: way for way in candidates_of(finger.archived)}
-        self._way, self._seed = ways[WAY], one.seed
-        whole = np.isin(table["location"], np.unique(table["location"][rows])) & table["valid"]
-        self._presses = load_presses(
-            finger.archived, np.flatnonzero(whole), device=one.device, form=self._way.form
-        )
-        own = self._presses.rows.numpy()
-        order = np.argsort(own)
-        self._at = order[np.searchsorted(own, rows, sorter=order)]
 
-    def change(self) -> Floats:
-        """Return the mean step from place to place of each frame (n,), which grows with force."""
-        inputs = INPUTS[self._presses.form]
-        parts = torch.from_numpy(self._at).to(self._presses.device).split(_AT_ONCE)
-        each = [steps(prepared_rows(self._presses, rows, inputs)).mean((1, 2, 3)) for rows in parts]
-        return torch.cat(each).double().cpu().numpy()
-
-    def learned(self, forces: Floats) -> Floats:
-        """Return the force of each frame (n,) [N], of models that learn (n,) of other objects."""
-        labels = np.full((self._presses.frames, 3), np.nan, np.float32)
-        labels[self._at, 2] = forces
-        wrench = torch.from_numpy(labels).to(self._presses.device)
-        presses = replace(self._presses, wrench=wrench)
-        codes = np.unique(presses.indenter.numpy()).tolist()
-        of_frame = presses.indenter[presses.of_frame].numpy()
-        predicted = np.full(presses.frames, np.nan)
-        for fold in folds_of(codes, self._seed):
-            # A single object is not left out: then there is nothing to learn from.
-            model = self._way.train(presses, self._seed, fold if len(codes) > 1 else frozenset())
-            inside = np.isin(presses.indenter.numpy(), sorted(fold))
-            forces_of = model.predict(presses.only(torch.from_numpy(inside)))[:, 2]
-            predicted[np.isin(of_frame, sorted(fold))] = forces_of
-        return predicted[self._at]
+def _learned(features: Floats, forces: Floats, objects: Integers, seed: int) -> Floats:
+    """Return the force of each frame (n,) [N] by a regression on the others' objects."""
+    predicted, codes = np.zeros(len(forces)), np.unique(objects).tolist()
+    for fold in folds_of(codes, seed):
+        inside = np.isin(objects, sorted(fold))
+        # A single object is not left out: nothing would be left to learn from.
+        own = ~inside if len(codes) > 1 else inside
+        mean, scale = features[own].mean(axis=0), features[own].std(axis=0)
+        standard = (features - mean) / np.where(scale > 0, scale, 1.0)
+        ((weights, offset),) = ridge(standard[own], forces[own, None], (PENALTY,))
+        predicted[inside] = (standard[inside] @ weights + offset)[:, 0]
+    return predicted

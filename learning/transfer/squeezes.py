@@ -24,8 +24,9 @@ GRAVITY = 9.80665
 TOGETHER_NS = 20_000_000
 # Attribute of a sensor that names its finger, and the sign of the weight on it.
 FINGER, SIGNS = "finger", {"left": -1.0, "right": 1.0}
-# Keys in the provenance of a frame, beside its session and run; `still` frames are learned from.
-KEYS = ("mass", "turn", "step", "still")
+# Keys in the provenance of a frame, beside its session and run. Frames are learned from that are
+# `still`, and `lifted` off what would carry the object, or at step 0, without contact.
+KEYS = ("mass", "turn", "step", "still", "lifted")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,10 +128,10 @@ def _still_rows(sensor: ArchivedSensor) -> dict[tuple[str, int], tuple[Integers,
 
 
 def _facts(line: str, name: str) -> tuple[tuple[str, int], tuple[float, float, float] | None]:
-    """Return session and run of a provenance line, and mass, turn along x and step if still."""
+    """Return session and run of a provenance line, and mass, turn along x and step if usable."""
     try:
         source: Mapping[str, Any] = json.loads(line)
-        mass, turn, step, still = (source[key] for key in KEYS)
+        mass, turn, step, still, lifted = (source[key] for key in KEYS)
         key = str(source["session"]), int(source["run"])
         values = float(mass), float(turn[0]), float(step)
     except (ValueError, KeyError, TypeError, IndexError) as error:
@@ -142,7 +143,7 @@ def _facts(line: str, name: str) -> tuple[tuple[str, int], tuple[float, float, f
         raise LearningError(
             f"{name}: found mass {mass} kg and turn {turn}; allowed: 0 kg or more, a unit vector"
         )
-    return key, values if still else None
+    return key, values if still and (lifted or not step) else None
 
 
 def _nearest(times: NDArray[np.int64], others: NDArray[np.int64]) -> Integers:
