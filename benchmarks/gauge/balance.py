@@ -1,6 +1,7 @@
 """Normal forces of a finger by balance: by the other finger's model, and by known weights alone."""
 
 import json
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,7 @@ PAIRS = {
 PRESETS = {"gelsight": "bench-gelsight", "uskin": "uskin"}
 # Closing of a step [m], mass of every object [kg], and its width [m].
 STEP, MASS, WIDTH = 0.3e-3, 0.3, 0.04
+FZ_ALONE = np.where(np.arange(6) == 2, 1.0, np.nan)
 OBJECTS, UNSEEN, STEPS, SQUEEZES = 30, 8, 7, 1
 
 
@@ -41,7 +43,7 @@ def measure(run: Run) -> dict[str, Any]:
     results = {}
     for name in PAIRS:
         folder = folder_of(run, "gauge-balance") / name.replace(" ", "-")
-        results[name] = run.once(name, lambda to=folder, of=name: of_pair(to, PAIRS[of], run.quick))
+        results[name] = run.once(name, partial(of_pair, folder, PAIRS[name], run.quick))
         run.progress(len(results) / len(PAIRS))
     return results
 
@@ -55,13 +57,12 @@ def of_pair(folder: Path, sensors: tuple[str, str], quick: bool) -> dict[str, li
     first = Request(gauge, folder / "first", ways=ways, unseen=())
     run_choice(first, own_labels(first, None))
     both, results = Request(pair["right"], folder, pair["left"], unseen=()), {}
-    origins = {
-        "the other's model": lambda: by_model(both, str(first.out), print),
-        "weights alone": lambda: by_weights(both, print),
-    }
-    for name, origin in origins.items():
+    for name in ("the other's model", "weights alone"):
         one = Request(pair["right"], folder / name.replace(" ", "-"), ways=ways, unseen=())
-        run_choice(one, origin())
+        by_other = name == "the other's model"
+        run_choice(
+            one, by_model(both, str(first.out), print) if by_other else by_weights(both, print)
+        )
         score = score_of(new_frames(one.out, tested))
         figures = score.errors.r2[2], score.errors.mae[2], score.width[2], score.covered[2]
         results[name] = [f"{float(figure):.3f}" for figure in figures]
@@ -75,7 +76,8 @@ def squeezed(
     left, right = (WorldSpec(name, noise=Noise(grey=1.0)) for name in sensors)
     world, random, t_ns = PairWorld(PairSpec(left, right)), np.random.default_rng(seed), 0
     faces = np.random.default_rng(9).permutation([*product(NAMES, NAMES)])
-    rows, seen = [], ([], [])  # type: ignore[var-annotated]
+    rows: list[Any] = []
+    seen: tuple[list[Any], list[Any]] = ([], [])
 
     def read(side: int) -> Any:
         noise = random.normal(0, 2.1, (16, 3))
@@ -85,7 +87,8 @@ def squeezed(
         world.place(GraspObject("object", (faces[number][0], faces[number][1]), WIDTH, MASS))
         for step in range(STEPS + 1):
             closing = STEP * step * random.uniform(0.9, 1.1) if step else -4e-3
-            for t_ns in range(t_ns + 100_000_000, t_ns + 2_000_000_001, 100_000_000):
+            for _ in range(20):
+                t_ns += 100_000_000
                 state = world.step(t_ns, WIDTH - closing, (turn, 0, 0), step > 0)
             for side in (0, 1):
                 seen[side].append(
@@ -127,7 +130,7 @@ def archived(
     writer, zeros = ArchiveWriter.begin(path, ArchivePlan((plan,), objects)), np.zeros(len(rows))
     columns = {"indenter": number, "location": squeeze, "target": squeeze, "frame": step}
     columns |= {"phase": step * 0 - 1, "depth": zeros + STEP * step, "t_ns": t_ns, "reference": of}
-    known = {"session": "squeezes", "run": 0, "mass": MASS, "still": True, "lifted": True}
+    known = {"session": "squeezes", "run": 0, "mass": MASS, "still": True}
     writer.sensors[sensor].write(
         0,
         packed=packed,
@@ -136,7 +139,7 @@ def archived(
             "seen": zeros == 0,
             "valid": zeros == 0,
             "position": np.zeros((len(rows), 2)),
-            "wrench": np.array([wrench for *_, wrench in seen]),
+            "wrench": np.array([wrench for *_, wrench in seen]) * FZ_ALONE,
         },
         source=[
             json.dumps({**known, "turn": [int(x), 0, 0], "step": int(k), "target": int(s)})

@@ -5,9 +5,8 @@ mass x g x the component of gravity's unit vector along the grip axis, which poi
 """
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +23,9 @@ GRAVITY = 9.80665
 TOGETHER_NS = 20_000_000
 # Attribute of a sensor that names its finger, and the sign of the weight on it.
 FINGER, SIGNS = "finger", {"left": -1.0, "right": 1.0}
-# Keys in the provenance of a frame, beside its session and run. Frames are learned from that are
-# `still`, and `lifted` off what would carry the object, or at step 0, without contact.
-KEYS = ("mass", "turn", "step", "still", "lifted")
+# Keys in the provenance of a frame, beside its session and run: mass that the fingers bear. Frames
+# are learned from that are `still` at step 0, without contact, or while nothing else bears a part.
+KEYS = ("mass", "turn", "step", "still")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,14 +47,12 @@ class Squeezes:
 
     @property
     def held(self) -> NDArray[np.bool_]:
-        """True where both fingers touch the object (n,)."""
+        """True where the fingers bear the object (n,)."""
         return self.step > 0
 
-    def only(self, chosen: NDArray[np.bool_]) -> Self:
+    def only(self, some: NDArray[np.bool_]) -> Self:
         """Return some of the pairs (n,)."""
-        return replace(
-            self, **{each.name: getattr(self, each.name)[chosen] for each in fields(self)}
-        )
+        return replace(self, **{each.name: getattr(self, each.name)[some] for each in fields(self)})
 
 
 def squeezes(sensor: SensorSelection, other: SensorSelection) -> Squeezes:
@@ -64,92 +61,78 @@ def squeezes(sensor: SensorSelection, other: SensorSelection) -> Squeezes:
     Raises:
         LearningError: They are not the fingers of one hand, or no frames pair.
     """
-    sign = _sign(sensor, other)
-    mine, its = _still_rows(sensor.archived), _still_rows(other.archived)
-    rows, others, known = [], [], []
-    for key in mine.keys() & its.keys():
-        (own, of), (away, _) = mine[key], its[key]
-        t_own, t_away = sensor.archived.table["t_ns"][own], other.archived.table["t_ns"][away]
-        nearest = _nearest(t_own, t_away)
-        near = np.abs(t_away[nearest] - t_own) <= TOGETHER_NS
-        rows.append(own[near])
-        others.append(away[nearest][near])
-        known.append(of[near])
-    if not sum(map(len, rows)):
+    fingers = [str(each.archived.attrs.get(FINGER)) for each in (sensor, other)]
+    if sorted(fingers) != sorted(SIGNS):
+        raise LearningError(
+            f"{sensor.sensor}, {other.sensor}: found fingers {', '.join(fingers)}; allowed: left "
+            "and right, archives of a bench with two fingers"
+        )
+    (mine, step, weight), (its, *_) = (_still(each.archived) for each in (sensor, other))
+    times = [each.archived.table["t_ns"] for each in (sensor, other)]
+    parts = [_nearest(mine[key], its[key], *times) for key in mine.keys() & its.keys()]
+    if not sum(part.shape[1] for part in parts):
         raise LearningError(
             f"--source: found no frames of {other.sensor} within {TOGETHER_NS // 1_000_000} ms of "
             f"still ones of {sensor.sensor}; allowed: both fingers of the same sessions"
         )
-    row, away, facts = np.concatenate(rows), np.concatenate(others), np.concatenate(known)
-    order = np.argsort(row)
-    row, away, facts = row[order], away[order], facts[order]
-    names = np.array(sensor.archive.indenters)[sensor.archived.table["indenter"][row]]
-    its_names = np.array(other.archive.indenters)[other.archived.table["indenter"][away]]
-    if (wrong := np.flatnonzero(names != its_names)).size:
+    pairs = np.concatenate(parts, axis=1)
+    rows, others = pairs[:, np.argsort(pairs[0])]
+    objects = [
+        np.array(each.archive.indenters)[each.archived.table["indenter"][of]]
+        for each, of in ((sensor, rows), (other, others))
+    ]
+    if (wrong := np.flatnonzero(objects[0] != objects[1])).size:
+        names = [name[wrong[0]] for name in objects]
         raise LearningError(
-            f"row {row[wrong[0]]}: found {names[wrong[0]]} on {sensor.sensor} and "
-            f"{its_names[wrong[0]]} on {other.sensor} at one time; allowed: one object"
+            f"{sensor.sensor}, row {rows[wrong[0]]}: found {names[0]}, and {names[1]} on "
+            f"{other.sensor} at that time; allowed: one object"
         )
-    step = facts[:, 2].astype(np.int64)
-    return Squeezes(
-        rows=row,
-        others=away,
-        weight=np.where(step > 0, sign * GRAVITY * facts[:, 0] * facts[:, 1], 0.0),
-        step=step,
-        squeeze=sensor.archived.table["location"][row].astype(np.int64),
-        indenter=sensor.archived.table["indenter"][row].astype(np.int64),
-    )
+    table, sign = sensor.archived.table, SIGNS[fingers[0]]
+    squeeze, indenter = (table[name][rows].astype(np.int64) for name in ("location", "indenter"))
+    return Squeezes(rows, others, sign * weight[rows], step[rows], squeeze, indenter)
 
 
-def _sign(sensor: SensorSelection, other: SensorSelection) -> float:
-    """Return 1 if the sensor is the right finger, -1 if it is the left one."""
-    fingers = [each.archived.attrs.get(FINGER) for each in (sensor, other)]
-    if sorted(map(str, fingers)) != sorted(SIGNS):
-        raise LearningError(
-            f"{sensor.sensor}, {other.sensor}: found fingers {fingers[0]}, {fingers[1]}; allowed: "
-            "left and right, archives of a bench with two fingers"
-        )
-    return SIGNS[str(fingers[0])]
+def _still(sensor: ArchivedSensor) -> tuple[dict[str, Integers], Integers, Floats]:
+    """Return usable rows by session and run, in order of time, and steps and weights of all."""
+    table, known = sensor.table, [_known(line, sensor.name) for line in sensor.sources]
+    of = np.asarray(table["source"], np.int64)
+    run, usable, step, weight = (np.array(column) for column in zip(*known, strict=True))
+    chosen = usable[of] & table["valid"] & (table["location"] >= 0)
+    order = np.argsort(table["t_ns"], kind="stable")
+    runs = np.unique(run).tolist()
+    by_run = {one: order[(chosen & (run[of] == one))[order]] for one in runs}
+    return by_run, step[of], weight[of]
 
 
-def _still_rows(sensor: ArchivedSensor) -> dict[tuple[str, int], tuple[Integers, Floats]]:
-    """Return rows by time (n,), and mass, turn along x and step (n, 3), by session and run."""
-    table, facts = sensor.table, [_facts(line, sensor.name) for line in sensor.sources]
-    by_run: dict[tuple[str, int], list[int]] = {}
-    usable = table["valid"] & (table["location"] >= 0)
-    for row in np.flatnonzero(usable)[np.argsort(table["t_ns"][usable], kind="stable")].tolist():
-        key, values = facts[table["source"][row]]
-        if values is not None:
-            by_run.setdefault(key, []).append(row)
-    return {
-        key: (np.array(rows), np.array([facts[table["source"][row]][1] for row in rows]))
-        for key, rows in by_run.items()
-    }
-
-
-def _facts(line: str, name: str) -> tuple[tuple[str, int], tuple[float, float, float] | None]:
-    """Return session and run of a provenance line, and mass, turn along x and step if usable."""
+def _known(line: str, name: str) -> tuple[str, bool, int, float]:
+    """Return run of a provenance line, whether it is used, step, and weight along the grip [N]."""
     try:
-        source: Mapping[str, Any] = json.loads(line)
-        mass, turn, step, still, lifted = (source[key] for key in KEYS)
-        key = str(source["session"]), int(source["run"])
-        values = float(mass), float(turn[0]), float(step)
+        source = json.loads(line)
+        mass, turn, step, still = (source[key] for key in KEYS)
+        run = f"{source['session']} {source['run']}"
+        mass, along, step = float(mass), float(turn[0]), int(step)
     except (ValueError, KeyError, TypeError, IndexError) as error:
         raise LearningError(
             f"{name}: found the source {line[:60]!r} ({error!r}); allowed: frames of squeezes, "
             f"whose sources have {', '.join(KEYS)}"
         ) from None
-    if not (np.isfinite(values).all() and values[0] >= 0 and abs(values[1]) <= 1 + 1e-6):
+    if not (0 <= mass < np.inf and abs(along) <= 1 + 1e-6):
         raise LearningError(
             f"{name}: found mass {mass} kg and turn {turn}; allowed: 0 kg or more, a unit vector"
         )
-    return key, values if still and (lifted or not step) else None
+    weight = GRAVITY * mass * along if step else 0.0
+    return run, bool(still and (mass or not step)), step, weight
 
 
-def _nearest(times: NDArray[np.int64], others: NDArray[np.int64]) -> Integers:
-    """Return the index of the nearest of some increasing times (m,) to each time (n,)."""
-    after = np.clip(np.searchsorted(others, times), 1, max(len(others) - 1, 1))
-    before = after - 1
-    after = np.minimum(after, len(others) - 1)
-    closer = np.abs(others[after] - times) < np.abs(others[before] - times)
-    return np.where(closer, after, before)
+def _nearest(
+    rows: Integers, others: Integers, times: NDArray[np.int64], of_others: NDArray[np.int64]
+) -> Integers:
+    """Return rows and those of the other finger nearest in time (2, n), if near enough."""
+    if not len(others):
+        return np.zeros((2, 0), np.int64)
+    own, its = times[rows], of_others[others]
+    after = np.clip(np.searchsorted(its, own), 0, len(its) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(its[after] - own) < np.abs(its[before] - own), after, before)
+    near = np.abs(its[nearest] - own) <= TOGETHER_NS
+    return np.stack([rows[near], others[nearest[near]]])

@@ -78,14 +78,14 @@ class Curve:
     coefficients: Floats
     """Of these (q,) [N]."""
     knots: Floats
-    """Forces by these powers (p + 1,) [N]."""
+    """Forces by these powers, from 0 (p + 1,) [N]."""
     forces: Floats
-    """Forces at the knots (p + 1,) [N], linear from one to the next and beyond the last."""
+    """Forces at the knots but the first (p,) [N], linear from one to the next and beyond."""
 
     def __call__(self, signals: Floats) -> Floats:
         """Return the forces (n,) [N] at signals (n,)."""
         start = _raised(signals / self.largest, self.powers) @ self.coefficients
-        return _hats(start, self.knots) @ self.forces[1:]
+        return np.asarray(_hats(start, self.knots) @ self.forces)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,27 +113,21 @@ def weigh_balanced(some: Balanced) -> Weighed:
     """
     some.require_weights()
     curves = _fit(some)
-    for curve in curves:
-        if not (np.diff(curve(np.linspace(0.0, curve.largest, 21))) > 0).all():
-            raise LearningError(
-                "squeezes: found signals from which no rising force follows; allowed: weights and "
-                "steps that the fingers feel clearly, on more objects or turns"
-            )
-    ends = [np.quantile(signal, 0.98) for signal in some.signals]
-    at = [
-        _inverse(curve, AT * float(curve(np.array([end]))[0]), end)
-        for curve, end in zip(curves, ends, strict=True)
-    ]
+    at = np.quantile(some.signals, 0.98, axis=1)[:, None] * np.linspace(0.05, 1.0, 40)
+    forces = _at(curves, at)
+    if not (np.diff(forces, axis=1) > 0).all():
+        raise LearningError(
+            "squeezes: found signals from which no rising force follows; allowed: weights and "
+            "steps that the fingers feel clearly, on more objects or turns"
+        )
+    wanted = forces[:, -1:] * AT
+    at = np.stack([np.interp(*each) for each in zip(wanted, forces, at, strict=True)])
     groups = np.unique(some.group)
-    left_out = []
-    for group in groups:
-        pair = _fit(some.only(some.group != group))
-        left_out.append([curve(signals) for curve, signals in zip(pair, at, strict=True)])
-    apart = np.array(left_out) - np.mean(left_out, axis=0)
-    count = len(groups)
-    error = np.sqrt((count - 1) / count * np.square(apart).sum(axis=0))
-    half = float(student.ppf(0.5 + COVERAGE / 2, count - 1)) * error
-    return Weighed(curves, np.stack([curve(s) for curve, s in zip(curves, at, strict=True)]), half)
+    left_out = np.stack([_at(_fit(some.only(some.group != group)), at) for group in groups])
+    degrees = len(groups) - 1
+    error = np.sqrt(degrees * left_out.var(axis=0))
+    half = float(student.ppf(0.5 + COVERAGE / 2, degrees)) * error
+    return Weighed(curves, _at(curves, at), half)
 
 
 def straight(some: Balanced) -> tuple[Curve, Curve]:
@@ -142,31 +136,38 @@ def straight(some: Balanced) -> tuple[Curve, Curve]:
     return _fit(some, np.ones(1), 1e3)
 
 
+def _at(curves: tuple[Curve, Curve], signals: Floats) -> Floats:
+    """Return the forces of both fingers (2, n) [N] at signals (2, n)."""
+    return np.stack([curve(own) for curve, own in zip(curves, signals, strict=True)])
+
+
 def _fit(some: Balanced, powers: Floats = POWERS, stiff: float = BENDS) -> tuple[Curve, Curve]:
     """Return curves for which the balance has no part along the instruments."""
     largest = some.signals.max(axis=1)
     relative = some.signals / largest[:, None]
-    size = np.array([relative[:, some.step == step].mean() for step in np.unique(some.step)])
-    weight = 1.0 / (LEAST_ERROR + size[np.unique(some.step, return_inverse=True)[1]])
-    instruments = _instruments(some) * weight[:, None]
+    steps, of_step = np.unique(some.step, return_inverse=True)
+    size = np.array([relative[:, some.step == step].mean() for step in steps])
+    precision = 1.0 / (LEAST_ERROR + size[of_step])
+    basis, _ = np.linalg.qr(_instruments(some) * precision[:, None])
 
-    def solved(parts: list[Floats], penalty: Floats | None = None) -> list[Floats]:
-        columns = np.hstack([parts[0], -parts[1]]) * weight[:, None]
-        return np.split(_projected(columns, some.weight * weight, instruments, penalty), 2)
+    def solved(parts: list[Floats], penalty: Floats) -> list[Floats]:
+        columns = np.hstack([parts[0], -parts[1]]) * precision[:, None]
+        rows = np.vstack([basis.T @ columns, penalty])
+        wanted = np.r_[basis.T @ (some.weight * precision), np.zeros(len(penalty))]
+        scale = np.linalg.norm(rows, axis=0)
+        return np.split(np.linalg.lstsq(rows / scale, wanted, rcond=None)[0] / scale, 2)
 
     raised = [_raised(each, powers) for each in relative]
-    coefficients = solved(raised)
+    coefficients = solved(raised, np.zeros((0, 2 * len(powers))))
     starts = [each @ own for each, own in zip(raised, coefficients, strict=True)]
     knots = [np.linspace(0.0, max(each.max(), 1e-9), PIECES + 1) for each in starts]
-    bends: Floats = np.kron(
-        np.eye(2), stiff * PIECES * np.diff(np.eye(PIECES + 1), 2, axis=0)[:, 1:]
+    bends = stiff * PIECES * np.diff(np.eye(PIECES + 1), 2, axis=0)[:, 1:]
+    hats = [_hats(*each) for each in zip(starts, knots, strict=True)]
+    forces = solved(hats, np.asarray(np.kron(np.eye(2), bends)))
+    own, other = (
+        Curve(float(largest[k]), powers, coefficients[k], knots[k], forces[k]) for k in (0, 1)
     )
-    bent = solved([_hats(*each) for each in zip(starts, knots, strict=True)], bends)
-    first, second = (
-        Curve(float(most), powers, own, knot, np.r_[0.0, force])
-        for most, own, knot, force in zip(largest, coefficients, knots, bent, strict=True)
-    )
-    return first, second
+    return own, other
 
 
 def _raised(relative: Floats, powers: Floats) -> Floats:
@@ -192,22 +193,3 @@ def _instruments(some: Balanced) -> Floats:
     steps = np.linspace(some.step.min(), some.step.max(), STEPS)
     near = np.maximum(1 - np.abs(some.step[:, None] - steps) / (steps[1] - steps[0]), 0.0)
     return np.hstack([near, some.weight[:, None] * near])
-
-
-def _projected(
-    columns: Floats, weight: Floats, instruments: Floats, penalty: Floats | None
-) -> Floats:
-    """Return the values that explain the weights best along the instruments."""
-    basis, _ = np.linalg.qr(instruments)
-    rows, wanted = basis.T @ columns, basis.T @ weight
-    if penalty is not None:
-        rows, wanted = np.vstack([rows, penalty]), np.r_[wanted, np.zeros(len(penalty))]
-    scale = np.linalg.norm(rows, axis=0)
-    values = np.linalg.lstsq(rows / scale, wanted, rcond=None)[0]
-    return np.asarray(values / scale)
-
-
-def _inverse(curve: Curve, forces: Floats, largest: float) -> Floats:
-    """Return the signals (n,) at which a rising curve has some forces."""
-    signals = np.linspace(0.0, largest, 400)
-    return np.interp(forces, curve(signals), signals)

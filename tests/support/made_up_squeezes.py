@@ -104,8 +104,7 @@ def squeeze_archives(
 
 def source_of(one: Hold) -> str:
     """Return the provenance of a frame."""
-    known = {"mass": one.mass, "turn": [one.turn, 0.0, 0.0], "step": one.step}
-    known |= {"still": one.still, "lifted": one.step > 0}
+    known = {"mass": one.mass, "turn": [one.turn, 0.0, 0.0], "step": one.step, "still": one.still}
     return json.dumps({"session": "squeezes", "run": 0, "target": one.squeeze, **known})
 
 
