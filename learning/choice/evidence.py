@@ -35,4 +35,6 @@ def lines_of_way(chosen: str) -> Iterator[str]:
         fits = [row[name] for name in ("kinds", "skins", "patterns")]
         values = f"{fits[0]:7.3f} {fits[1]:7.3f} {fits[2]:8.3f}"
         yield f"{mark} {row['way']:38s} {values}  {row['presses']}"
+    if chosen == BALANCE:
+        yield f"* {LABELS[BALANCE]}: Fz alone; docs/how-to/calibrate-by-balance.md"
     yield "presses: with a gauge on the sensor; docs/results/gauge.md has intervals"

@@ -99,10 +99,12 @@ class Weighed:
     """Half-widths of 90 % intervals of these (2, 10) [N]."""
 
     def error(self, finger: int) -> AxisError:
-        """Return a line above the half-widths of a finger."""
+        """Return the lowest line above the half-widths of a finger."""
         force, half = self.forces[finger], self.half_width[finger]
-        slope = float((half / force)[force >= 0.5 * force.max()].max())
-        return AxisError(float(max(0.0, (half - slope * force).max())), slope)
+        slopes = np.linspace(0.0, (half / force).max(), 50)
+        bases = np.maximum((half - slopes[:, None] * force).max(axis=1), 0.0)
+        best = int(np.argmin(bases + slopes * force.mean()))
+        return AxisError(float(bases[best]), float(slopes[best]))
 
 
 def weigh_balanced(some: Balanced) -> Weighed:
