@@ -167,9 +167,8 @@ def _balanced(pairs: Squeezes, signals: Floats) -> Balanced:
     means = [
         np.bincount(of.reshape(-1), each[held]) / counts for each in _from_rest(pairs, signals)
     ]
-    group = pairs.indenter if len(np.unique(pairs.indenter)) > 1 else pairs.squeeze
-    some = np.flatnonzero(held)[first]
-    return Balanced(np.stack(means), pairs.weight[some], pairs.step[some], group[some])
+    some = pairs.only(held).only(first)
+    return Balanced(np.stack(means), some.weight, some.step, some.indenter)
 
 
 def _report(weighed: Weighed, say: Say) -> None:
@@ -198,13 +197,11 @@ def _features(one: Request, finger: SensorSelection, rows: Integers) -> Floats:
 
 def _learned(features: Floats, forces: Floats, objects: Integers, seed: int) -> Floats:
     """Return the force of each frame (n,) [N] by a regression on the others' objects."""
-    predicted, codes = np.zeros(len(forces)), np.unique(objects).tolist()
-    for fold in folds_of(codes, seed):
+    predicted = np.zeros(len(forces))
+    for fold in folds_of(np.unique(objects).tolist(), seed):
         inside = np.isin(objects, sorted(fold))
-        # A single object is not left out: nothing would be left to learn from.
-        own = ~inside if len(codes) > 1 else inside
-        mean, scale = features[own].mean(axis=0), features[own].std(axis=0)
+        mean, scale = features[~inside].mean(axis=0), features[~inside].std(axis=0)
         standard = (features - mean) / np.where(scale > 0, scale, 1.0)
-        ((weights, offset),) = ridge(standard[own], forces[own, None], (PENALTY,))
+        ((weights, offset),) = ridge(standard[~inside], forces[~inside, None], (PENALTY,))
         predicted[inside] = (standard[inside] @ weights + offset)[:, 0]
     return predicted

@@ -50,7 +50,7 @@ class Squeezes:
         """True where the fingers bear the object (n,)."""
         return self.step > 0
 
-    def only(self, some: NDArray[np.bool_]) -> Self:
+    def only(self, some: NDArray[np.bool_] | Integers) -> Self:
         """Return some of the pairs (n,)."""
         return replace(self, **{each.name: getattr(self, each.name)[some] for each in fields(self)})
 

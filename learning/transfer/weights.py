@@ -26,7 +26,7 @@ Integers = NDArray[np.int64]
 # Powers of the signal that a curve begins with; below this part of the largest signal it is linear.
 POWERS, LINEAR = np.array([0.75, 1.0, 1.5]), 0.01
 # Pieces of the correction of each curve, and the penalty on its bends.
-PIECES, BENDS = 4, 0.3
+PIECES, BENDS = 6, 0.1
 # Steps of the squeeze that are told apart; fewest at which weights differ.
 STEPS, FEWEST = 5, 5
 # Error of a balance without force, over that at the largest one.
@@ -45,25 +45,25 @@ class Balanced:
     """Force on the first finger less that on the second (n,) [N]."""
     step: Integers
     """Step of the squeeze (n,)."""
-    group: Integers
-    """What errors are common to (n,), such as the object."""
+    object: Integers
+    """Number of the object (n,)."""
 
     def only(self, chosen: NDArray[np.bool_]) -> Self:
         """Return some of them."""
         return type(self)(
-            self.signals[:, chosen], self.weight[chosen], self.step[chosen], self.group[chosen]
+            self.signals[:, chosen], self.weight[chosen], self.step[chosen], self.object[chosen]
         )
 
     def require_weights(self) -> None:
         """Reject squeezes from which no newtons follow."""
-        steps = np.unique(self.step)
+        steps, objects = np.unique(self.step), len(np.unique(self.object))
         loaded = [step for step in steps if np.ptp(self.weight[self.step == step]) > 0]
-        if len(loaded) < FEWEST or len(np.unique(self.group)) < 2:
+        if len(loaded) < FEWEST or objects < 2:
             raise LearningError(
-                f"squeezes: found {len(loaded)} of {len(steps)} steps at which known weights load "
-                f"the fingers differently, in {len(np.unique(self.group))} squeezes or objects; "
-                f"allowed: {FEWEST} steps or more, each with the weight on one finger and on the "
-                "other (turn x = 1 and -1), twice or more; or --source-model"
+                f"squeezes: found {objects} objects, and {len(loaded)} of {len(steps)} steps at "
+                f"which known weights load the fingers differently; allowed: two objects and "
+                f"{FEWEST} steps or more, with the weight on either finger (turn x = 1 and -1); or "
+                "--source-model"
             )
 
 
@@ -124,9 +124,9 @@ def weigh_balanced(some: Balanced) -> Weighed:
         )
     wanted = forces[:, -1:] * AT
     at = np.stack([np.interp(*each) for each in zip(wanted, forces, at, strict=True)])
-    groups = np.unique(some.group)
-    left_out = np.stack([_at(_fit(some.only(some.group != group)), at) for group in groups])
-    degrees = len(groups) - 1
+    objects = np.unique(some.object)
+    left_out = np.stack([_at(_fit(some.only(some.object != one)), at) for one in objects])
+    degrees = len(objects) - 1
     error = np.sqrt(degrees * left_out.var(axis=0))
     half = float(student.ppf(0.5 + COVERAGE / 2, degrees)) * error
     return Weighed(curves, _at(curves, at), half)
@@ -150,7 +150,11 @@ def _fit(some: Balanced, powers: Floats = POWERS, stiff: float = BENDS) -> tuple
     steps, of_step = np.unique(some.step, return_inverse=True)
     size = np.array([relative[:, some.step == step].mean() for step in steps])
     precision = 1.0 / (LEAST_ERROR + size[of_step])
-    basis, _ = np.linalg.qr(_instruments(some) * precision[:, None])
+    # Steps, and weights at the steps, have no error.
+    at = np.linspace(steps[0], steps[-1], STEPS)
+    near = np.maximum(1 - np.abs(some.step[:, None] - at) / (at[1] - at[0]), 0.0)
+    instruments = np.hstack([near, some.weight[:, None] * near])
+    basis, _ = np.linalg.qr(instruments * precision[:, None])
 
     def solved(parts: list[Floats], penalty: Floats) -> list[Floats]:
         columns = np.hstack([parts[0], -parts[1]]) * precision[:, None]
@@ -188,10 +192,3 @@ def _hats(values: Floats, knots: Floats) -> Floats:
     rows = np.arange(len(values))
     weights[rows, at], weights[rows, at + 1] = 1 - part, part
     return weights[:, 1:]
-
-
-def _instruments(some: Balanced) -> Floats:
-    """Return functions of steps, and of steps times weights (n, 2 k), which have no errors."""
-    steps = np.linspace(some.step.min(), some.step.max(), STEPS)
-    near = np.maximum(1 - np.abs(some.step[:, None] - steps) / (steps[1] - steps[0]), 0.0)
-    return np.hstack([near, some.weight[:, None] * near])

@@ -1,5 +1,6 @@
 """Forces of a finger by balance: pairs of frames, known weights, and the command."""
 
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -46,10 +47,14 @@ def test_known_weights_fix_the_curves_of_both_fingers(grams: int, benches: int) 
 def test_too_few_weights_are_refused() -> None:
     some = planted_signals(0.3, 0, (1.0, 1.0))
     upright = some.only(some.weight > 0)
-    with pytest.raises(LearningError, match="found 0 of 8 steps at which known weights load"):
+    with pytest.raises(LearningError, match="found 8 objects, and 0 of 8 steps at"):
         weigh_balanced(upright)
-    with pytest.raises(LearningError, match="found 4 of 4 steps"):
+    with pytest.raises(LearningError, match="and 4 of 4 steps"):
         weigh_balanced(some.only(some.step <= 4))
+    with pytest.raises(LearningError, match="found 1 objects"):
+        weigh_balanced(some.only(some.object == 0))
+    with pytest.raises(LearningError, match="no rising force follows"):
+        weigh_balanced(replace(some, weight=-some.weight))
 
 
 def test_frames_of_both_fingers_pair_by_time(tmp_path: Path) -> None:
