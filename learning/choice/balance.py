@@ -24,7 +24,7 @@ from learning.force.model import prepared_rows
 from learning.training.checkpoint import MODEL, weights_hash
 from learning.transfer.scale import forces_at
 from learning.transfer.squeezes import Squeezes, squeezes
-from learning.transfer.weights import Balanced, Curve, Weighed, straight, weigh_balanced
+from learning.transfer.weights import Balanced, forces_by, straight, weigh_balanced
 from recorder.archive import MASKS
 
 Floats = NDArray[np.float64]
@@ -71,11 +71,6 @@ def by_model(one: Request, model: str, say: Say) -> Origin:
     predicted = forces_at(source.archived, rows, load_force_model(folder))
     unlike = intervals.is_outside(predicted, shapes(source.archived, rows))[back] & pairs.held
     forces, used = predicted[back], pairs.held & ~unlike
-    if not used.any():
-        raise LearningError(
-            f"--source-model: flags all {pairs.held.sum():,} squeezed frames of {source.name} as "
-            "unlike those it learned; allowed: a model that knows such contacts"
-        )
     say(
         f"{used.sum():,} frames labelled by balance with {source.name}; {unlike.sum():,} left out, "
         "as they are unlike those that its model learned"
@@ -109,20 +104,23 @@ def by_weights(one: Request, say: Say) -> Origin:
             "without contact, where forces are 0"
         )
     fingers = _features(one, one.sensor, pairs.rows), _features(one, source, pairs.others)
-    signals = np.stack([features[:, STEPS].mean(axis=1) for features in fingers])
+    signals = _from_rest(pairs, [features[:, STEPS].mean(axis=1) for features in fingers])
     for _ in range(ROUNDS):
-        labels = _by_other(pairs, straight(_balanced(pairs, signals)), signals)
-        both = zip(fingers, labels, strict=True)
-        signals = np.stack([_learned(*each, pairs.indenter, one.seed) for each in both])
+        factors = straight(_balanced(pairs, signals))
+        both = zip(fingers, _by_other(pairs, factors[:, None] * signals), strict=True)
+        signals = _from_rest(pairs, [_learned(*each, pairs.indenter, one.seed) for each in both])
     weighed = weigh_balanced(_balanced(pairs, signals))
-    fz = -_by_other(pairs, weighed.curves, signals)[0]
-    _report(weighed, say)
+    force, half = weighed.forces[1], weighed.half_width[1]
+    for at in np.array([0.2, 0.5, 0.8]) * force[-1]:
+        width = 100 * float(np.interp(at, force, half / force))
+        say(f"forces of {at:.2f} N by weights: +- {width:.1f} % at 90 %")
     largest = np.abs(pairs.weight).max()
     text = f"balance with {source.name} and weights of up to {largest:.2f} N along the grip axis"
-    scale = Scale(1.0, text, assumed=False)
-    labels_of = _labels(one, pairs, fz, "weights")
-    notes = (NORMAL_ALONE, INTERPOLATED)
-    return Origin(labels_of, scale, text, "transferred", source.name, weighed.error(1), notes)
+    labels = _labels(
+        one, pairs, -_by_other(pairs, forces_by(weighed.curves, signals))[0], "weights"
+    )
+    scale, notes = Scale(1.0, text, assumed=False), (NORMAL_ALONE, INTERPOLATED)
+    return Origin(labels, scale, text, "transferred", source.name, weighed.error(1), notes)
 
 
 def _pairs(one: Request) -> tuple[Squeezes, SensorSelection]:
@@ -145,38 +143,19 @@ def _labels(one: Request, pairs: Squeezes, fz: Floats, made_from: str) -> LabelS
     return LabelSource(Relabelling(lambda rows, *_: forces[rows]), ("balance", made_from, digest))
 
 
-def _by_other(pairs: Squeezes, curves: tuple[Curve, Curve], signals: Floats) -> Floats:
-    """Return the force of either finger (2, n) [N] by the other's signal (2, n) and the weight."""
-    own, other = (
-        curve(each) for curve, each in zip(curves, _from_rest(pairs, signals), strict=True)
-    )
-    return np.where(pairs.held, (other + pairs.weight, own - pairs.weight), 0.0)
+def _by_other(pairs: Squeezes, forces: Floats) -> Floats:
+    """Return the force of either finger (2, n) [N] by that of the other (2, n) and the weight."""
+    return np.where(pairs.held, (forces[1] + pairs.weight, forces[0] - pairs.weight), 0.0)
 
 
-def _from_rest(pairs: Squeezes, signals: Floats) -> Floats:
+def _from_rest(pairs: Squeezes, signals: list[Floats]) -> Floats:
     """Return signals (2, n) less those without contact."""
-    return np.asarray(signals - signals[:, ~pairs.held].mean(axis=1, keepdims=True))
+    return np.stack([signal - signal[~pairs.held].mean() for signal in signals])
 
 
 def _balanced(pairs: Squeezes, signals: Floats) -> Balanced:
-    """Return the mean signals (2, k) of each held step, of frames (2, n)."""
-    held = pairs.held
-    keys = np.stack([pairs.squeeze, pairs.step], axis=1)[held]
-    _, first, of = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    counts = np.bincount(of.reshape(-1))
-    means = [
-        np.bincount(of.reshape(-1), each[held]) / counts for each in _from_rest(pairs, signals)
-    ]
-    some = pairs.only(held).only(first)
-    return Balanced(np.stack(means), some.weight, some.step, some.indenter)
-
-
-def _report(weighed: Weighed, say: Say) -> None:
-    """Print the force of the other finger's curve at parts of the range, with its error."""
-    force, half = weighed.forces[1], weighed.half_width[1]
-    for at in (0.2, 0.5, 0.8):
-        error = 100 * float(np.interp(at * force[-1], force, half / force))
-        say(f"forces of {at * force[-1]:.2f} N by weights: +- {error:.1f} % at 90 %")
+    held = pairs.only(pairs.held)
+    return Balanced(signals[:, pairs.held], held.weight, held.step, held.indenter)
 
 
 def _features(one: Request, finger: SensorSelection, rows: Integers) -> Floats:
@@ -186,12 +165,12 @@ def _features(one: Request, finger: SensorSelection, rows: Integers) -> Floats:
     whole = np.isin(table["location"], table["location"][rows]) & table["valid"]
     frames = np.flatnonzero(whole)
     presses = load_presses(finger.archived, frames, device=one.device, form=form)
-    order = np.searchsorted(frames, presses.rows.numpy())
-    values = np.zeros((len(frames), 11))
-    for some in torch.arange(len(frames)).split(_AT_ONCE):
-        prepared = prepared_rows(presses, some.to(presses.device), INPUTS[form])
-        values[order[some.numpy()]] = statistics(prepared, form).cpu().numpy()
-    own = values[np.searchsorted(frames, rows)]
+    parts = torch.arange(presses.frames).to(presses.device).split(_AT_ONCE)
+    values = torch.cat(
+        [statistics(prepared_rows(presses, part, INPUTS[form]), form).cpu() for part in parts]
+    )
+    order = np.argsort(presses.rows.numpy())[np.searchsorted(frames, rows)]
+    own = values.double().numpy()[order]
     return np.hstack([own, own**2, np.sqrt(np.abs(own))])
 
 

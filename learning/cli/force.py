@@ -116,7 +116,10 @@ def make_model(options: argparse.Namespace) -> int:
     elif by == TWIN:
         origin = twin_labels(request)
     elif by == BALANCE:
-        origin = _by_balance(request, options.source_model)
+        from learning.choice.balance import by_model, by_weights
+
+        model = options.source_model
+        origin = by_model(request, model, print) if model else by_weights(request, print)
         request = replace(request, source=None)
     else:
         request, origin = _from_source(request, options)
@@ -148,12 +151,14 @@ def _require_used(options: argparse.Namespace, by: str) -> None:
     unused = [name for name in of_source if by != SOURCE and getattr(options, name)]
     if by in (TWIN, BALANCE) and options.labels is not None:
         unused.append("labels")
-    allowed = SOURCE
     if by != BALANCE and options.source_model is not None:
-        unused, allowed = ["source_model"], BALANCE
+        unused.append("source_model")
     if unused:
         names = ", ".join(f"--{name.replace('_', '-')}" for name in unused)
-        raise LearningError(f"{names}: found with labels by {by}; allowed: --by {allowed}")
+        raise LearningError(
+            f"{names}: found with labels by {by}; allowed: --by source, or "
+            "--by balance with --source-model"
+        )
 
 
 def best_of(request: Request, labels: Path | None) -> str:
@@ -179,16 +184,6 @@ def best_of(request: Request, labels: Path | None) -> str:
         "forces; allowed: labels on two indenters or more, --twin TWIN.yaml, or --source of a "
         "sensor with labels"
     )
-
-
-def _by_balance(request: Request, model: str | None) -> Origin:
-    """Return labels by balance with the other finger: by its model, or by known weights."""
-    from learning.choice.balance import by_model, by_weights
-
-    def say(line: str) -> None:
-        print(line, flush=True)
-
-    return by_weights(request, say) if model is None else by_model(request, model, say)
 
 
 def _from_source(request: Request, options: argparse.Namespace) -> tuple[Request, Origin]:

@@ -40,8 +40,6 @@ class Squeezes:
     """Normal force on the sensor less that on the other finger (n,) [N]."""
     step: Integers
     """Step of the squeeze (n,); 0: without contact."""
-    squeeze: Integers
-    """Number of the squeeze of each (n,)."""
     indenter: Integers
     """Code of the object in the sensor's archive (n,)."""
 
@@ -50,7 +48,7 @@ class Squeezes:
         """True where the fingers bear the object (n,)."""
         return self.step > 0
 
-    def only(self, some: NDArray[np.bool_] | Integers) -> Self:
+    def only(self, some: NDArray[np.bool_]) -> Self:
         """Return some of the pairs (n,)."""
         return replace(self, **{each.name: getattr(self, each.name)[some] for each in fields(self)})
 
@@ -77,19 +75,8 @@ def squeezes(sensor: SensorSelection, other: SensorSelection) -> Squeezes:
         )
     pairs = np.concatenate(parts, axis=1)
     rows, others = pairs[:, np.argsort(pairs[0])]
-    objects = [
-        np.array(each.archive.indenters)[each.archived.table["indenter"][of]]
-        for each, of in ((sensor, rows), (other, others))
-    ]
-    if (wrong := np.flatnonzero(objects[0] != objects[1])).size:
-        names = [name[wrong[0]] for name in objects]
-        raise LearningError(
-            f"{sensor.sensor}, row {rows[wrong[0]]}: found {names[0]}, and {names[1]} on "
-            f"{other.sensor} at that time; allowed: one object"
-        )
-    table, sign = sensor.archived.table, SIGNS[fingers[0]]
-    squeeze, indenter = (table[name][rows].astype(np.int64) for name in ("location", "indenter"))
-    return Squeezes(rows, others, sign * weight[rows], step[rows], squeeze, indenter)
+    indenter = sensor.archived.table["indenter"][rows].astype(np.int64)
+    return Squeezes(rows, others, SIGNS[fingers[0]] * weight[rows], step[rows], indenter)
 
 
 def _still(sensor: ArchivedSensor) -> tuple[dict[str, Integers], Integers, Floats]:
@@ -116,10 +103,6 @@ def _known(line: str, name: str) -> tuple[str, bool, int, float]:
             f"{name}: found the source {line[:60]!r} ({error!r}); allowed: frames of squeezes, "
             f"whose sources have {', '.join(KEYS)}"
         ) from None
-    if not (0 <= mass < np.inf and abs(along) <= 1 + 1e-6):
-        raise LearningError(
-            f"{name}: found mass {mass} kg and turn {turn}; allowed: 0 kg or more, a unit vector"
-        )
     weight = GRAVITY * mass * along if step else 0.0
     return run, bool(still and (mass or not step)), step, weight
 

@@ -1,16 +1,14 @@
 """Forces of two fingers by balance and known weights alone: one curve each, from signal to newtons.
 
-Balance says that the forces of both fingers on one object differ by its weight's component along
-the grip axis. Without such weights it leaves a common monotone function free; a known weight, on
-one finger and then on the other at the same steps, fixes it at the forces of these steps.
-
-Both signals have errors. Least squares would shrink the curves, as errors of signals then look like
-signals (errors in variables). So residuals of the balance are made orthogonal to what has no error:
-the steps, and the weights at the steps (instrumental variables). Errors of the curves are those of
-leaving objects out one by one (jackknife).
+Balance alone leaves a common monotone function free. A known weight, on one finger and then on the
+other at the same steps, fixes it at these. Both signals have errors, by which least squares would
+shrink the curves. So residuals of the balance are made orthogonal to what has no error: the steps,
+and the weights at the steps (instrumental variables). Errors of the curves are those of leaving
+objects out one by one (jackknife).
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Self
 
 import numpy as np
@@ -22,6 +20,7 @@ from learning.force.intervals import COVERAGE, AxisError
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
+Curves = list[partial[Floats]]
 
 # Powers of the signal that a curve begins with; below this part of the largest signal it is linear.
 POWERS, LINEAR = np.array([0.75, 1.0, 1.5]), 0.01
@@ -68,31 +67,11 @@ class Balanced:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Curve:
-    """Normal force of a finger by its signal."""
-
-    largest: float
-    """Largest signal learned from."""
-    powers: Floats
-    """Powers of the signal over the largest one, that it begins with (q,)."""
-    coefficients: Floats
-    """Of these (q,) [N]."""
-    knots: Floats
-    """Forces by these powers, from 0 (p + 1,) [N]."""
-    forces: Floats
-    """Forces at the knots but the first (p,) [N], linear from one to the next and beyond."""
-
-    def __call__(self, signals: Floats) -> Floats:
-        """Return the forces (n,) [N] at signals (n,)."""
-        start = _raised(signals / self.largest, self.powers) @ self.coefficients
-        return np.asarray(_hats(start, self.knots) @ self.forces)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Weighed:
     """Curves of both fingers, and their errors."""
 
-    curves: tuple[Curve, Curve]
+    curves: Curves
+    """Functions that return forces (n,) [N] at signals (n,)."""
     forces: Floats
     """Forces of either finger (2, 10) [N] at which the errors are."""
     half_width: Floats
@@ -116,7 +95,7 @@ def weigh_balanced(some: Balanced) -> Weighed:
     some.require_weights()
     curves = _fit(some)
     at = np.quantile(some.signals, 0.98, axis=1)[:, None] * np.linspace(0.05, 1.0, 40)
-    forces = _at(curves, at)
+    forces = forces_by(curves, at)
     if not (np.diff(forces, axis=1) > 0).all():
         raise LearningError(
             "squeezes: found signals from which no rising force follows; allowed: weights and "
@@ -125,62 +104,66 @@ def weigh_balanced(some: Balanced) -> Weighed:
     wanted = forces[:, -1:] * AT
     at = np.stack([np.interp(*each) for each in zip(wanted, forces, at, strict=True)])
     objects = np.unique(some.object)
-    left_out = np.stack([_at(_fit(some.only(some.object != one)), at) for one in objects])
+    left_out = np.stack([forces_by(_fit(some.only(some.object != one)), at) for one in objects])
     degrees = len(objects) - 1
     error = np.sqrt(degrees * left_out.var(axis=0))
     half = float(student.ppf(0.5 + COVERAGE / 2, degrees)) * error
-    return Weighed(curves, _at(curves, at), half)
+    return Weighed(curves, forces_by(curves, at), half)
 
 
-def straight(some: Balanced) -> tuple[Curve, Curve]:
-    """Return lines in place of curves, for signals whose errors are still large."""
+def straight(some: Balanced) -> Floats:
+    """Return the factors (2,) [N] of lines in place of curves, while errors are still large."""
     some.require_weights()
-    return _fit(some, np.ones(1), 1e3)
+    return np.concatenate(_solved(some, [signal[:, None] for signal in some.signals]))
 
 
-def _at(curves: tuple[Curve, Curve], signals: Floats) -> Floats:
+def forces_by(curves: Curves, signals: Floats) -> Floats:
     """Return the forces of both fingers (2, n) [N] at signals (2, n)."""
     return np.stack([curve(own) for curve, own in zip(curves, signals, strict=True)])
 
 
-def _fit(some: Balanced, powers: Floats = POWERS, stiff: float = BENDS) -> tuple[Curve, Curve]:
-    """Return curves for which the balance has no part along the instruments."""
+def _fit(some: Balanced) -> Curves:
+    """Return the curves by some squeezes: powers, and hats that correct them."""
     largest = some.signals.max(axis=1)
-    relative = some.signals / largest[:, None]
+    raised = [_raised(signal) for signal in some.signals / largest[:, None]]
+    first = _solved(some, raised)
+    starts = [each @ own for each, own in zip(raised, first, strict=True)]
+    knots = [np.linspace(0.0, max(each.max(), 1e-9), PIECES + 1) for each in starts]
+    hats = [_hats(*each) for each in zip(starts, knots, strict=True)]
+    bends = BENDS * PIECES * np.diff(np.eye(PIECES + 1), 2, axis=0)[:, 1:]
+    forces = _solved(some, hats, np.asarray(np.kron(np.eye(2), bends)))
+    return [partial(_curve, *each) for each in zip(largest, first, knots, forces, strict=True)]
+
+
+def _curve(largest: float, first: Floats, knots: Floats, forces: Floats, signals: Floats) -> Floats:
+    """Return forces (n,) [N] at signals (n,): linear from knot to knot and beyond the last."""
+    return np.asarray(_hats(_raised(signals / largest) @ first, knots) @ forces)
+
+
+def _solved(some: Balanced, parts: list[Floats], penalty: Floats | None = None) -> list[Floats]:
+    """Return the weights of both fingers' functions (n, m) with no balance along instruments."""
+    size = (some.signals / some.signals.max(axis=1)[:, None]).mean(axis=0)
     steps, of_step = np.unique(some.step, return_inverse=True)
-    size = np.array([relative[:, some.step == step].mean() for step in steps])
-    precision = 1.0 / (LEAST_ERROR + size[of_step])
-    # Steps, and weights at the steps, have no error.
+    precision = 1.0 / (
+        LEAST_ERROR + np.bincount(of_step, size)[of_step] / np.bincount(of_step)[of_step]
+    )
     at = np.linspace(steps[0], steps[-1], STEPS)
     near = np.maximum(1 - np.abs(some.step[:, None] - at) / (at[1] - at[0]), 0.0)
     instruments = np.hstack([near, some.weight[:, None] * near])
     basis, _ = np.linalg.qr(instruments * precision[:, None])
-
-    def solved(parts: list[Floats], penalty: Floats) -> list[Floats]:
-        columns = np.hstack([parts[0], -parts[1]]) * precision[:, None]
-        rows = np.vstack([basis.T @ columns, penalty])
-        wanted = np.r_[basis.T @ (some.weight * precision), np.zeros(len(penalty))]
-        scale = np.linalg.norm(rows, axis=0)
-        return np.split(np.linalg.lstsq(rows / scale, wanted, rcond=None)[0] / scale, 2)
-
-    raised = [_raised(each, powers) for each in relative]
-    coefficients = solved(raised, np.zeros((0, 2 * len(powers))))
-    starts = [each @ own for each, own in zip(raised, coefficients, strict=True)]
-    knots = [np.linspace(0.0, max(each.max(), 1e-9), PIECES + 1) for each in starts]
-    bends = stiff * PIECES * np.diff(np.eye(PIECES + 1), 2, axis=0)[:, 1:]
-    hats = [_hats(*each) for each in zip(starts, knots, strict=True)]
-    forces = solved(hats, np.asarray(np.kron(np.eye(2), bends)))
-    own, other = (
-        Curve(float(largest[k]), powers, coefficients[k], knots[k], forces[k]) for k in (0, 1)
-    )
-    return own, other
+    rows = basis.T @ (np.hstack([parts[0], -parts[1]]) * precision[:, None])
+    wanted = basis.T @ (some.weight * precision)
+    if penalty is not None:
+        rows, wanted = np.vstack([rows, penalty]), np.r_[wanted, np.zeros(len(penalty))]
+    scale = np.linalg.norm(rows, axis=0)
+    return np.split(np.linalg.lstsq(rows / scale, wanted, rcond=None)[0] / scale, 2)
 
 
-def _raised(relative: Floats, powers: Floats) -> Floats:
-    """Return powers (n, q) of signals (n,) over the largest one, linear and odd about 0."""
+def _raised(relative: Floats) -> Floats:
+    """Return `POWERS` (n, 3) of signals (n,) over the largest one, linear and odd about 0."""
     some = relative[:, None]
     return np.where(
-        some > LINEAR, np.maximum(some, LINEAR) ** powers, some * LINEAR ** (powers - 1)
+        some > LINEAR, np.maximum(some, LINEAR) ** POWERS, some * LINEAR ** (POWERS - 1)
     )
 
 
