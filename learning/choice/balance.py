@@ -71,6 +71,11 @@ def by_model(one: Request, model: str, say: Say) -> Origin:
     predicted = forces_at(source.archived, rows, load_force_model(folder))
     unlike = intervals.is_outside(predicted, shapes(source.archived, rows))[back] & pairs.held
     forces, used = predicted[back], pairs.held & ~unlike
+    if not used.any():
+        raise LearningError(
+            f"--source-model: found no squeezed frame of {source.name} like those that it learned; "
+            "allowed: a model that knows such contacts"
+        )
     say(
         f"{used.sum():,} frames labelled by balance with {source.name}; {unlike.sum():,} left out, "
         "as they are unlike those that its model learned"
@@ -127,12 +132,7 @@ def _pairs(one: Request) -> tuple[Squeezes, SensorSelection]:
     """Return the squeezes of objects that may be learned, and the other finger."""
     if one.source is None:
         raise LearningError("--source: missing; allowed: the other finger, X.markers.zarr")
-    pairs = squeezes(one.sensor, one.source)
-    usable = one.sensor.archived.table["seen"][pairs.rows]
-    if one.unseen is not None:
-        names = np.array(one.sensor.archive.indenters)
-        usable = ~np.isin(names[pairs.indenter], one.unseen)
-    return pairs.only(usable), one.source
+    return squeezes(one.sensor, one.source, one.unseen), one.source
 
 
 def _labels(one: Request, pairs: Squeezes, fz: Floats, made_from: str) -> LabelSource:
@@ -154,8 +154,8 @@ def _from_rest(pairs: Squeezes, signals: list[Floats]) -> Floats:
 
 
 def _balanced(pairs: Squeezes, signals: Floats) -> Balanced:
-    held = pairs.only(pairs.held)
-    return Balanced(signals[:, pairs.held], held.weight, held.step, held.indenter)
+    held = pairs.held
+    return Balanced(signals[:, held], pairs.weight[held], pairs.step[held], pairs.indenter[held])
 
 
 def _features(one: Request, finger: SensorSelection, rows: Integers) -> Floats:

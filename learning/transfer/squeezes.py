@@ -5,15 +5,13 @@ mass x g x the component of gravity's unit vector along the grip axis, which poi
 """
 
 import json
-from dataclasses import dataclass, fields, replace
-from typing import Self
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from learning.data.matching import SensorSelection
 from learning.errors import LearningError
-from recorder.archive import ArchivedSensor
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -48,13 +46,13 @@ class Squeezes:
         """True where the fingers bear the object (n,)."""
         return self.step > 0
 
-    def only(self, some: NDArray[np.bool_]) -> Self:
-        """Return some of the pairs (n,)."""
-        return replace(self, **{each.name: getattr(self, each.name)[some] for each in fields(self)})
 
-
-def squeezes(sensor: SensorSelection, other: SensorSelection) -> Squeezes:
+def squeezes(
+    sensor: SensorSelection, other: SensorSelection, unseen: tuple[str, ...] | None = None
+) -> Squeezes:
     """Return the pairs of frames of two fingers, by session, run and time.
+
+    Objects `unseen` are left out; None: those on which models may not be trained.
 
     Raises:
         LearningError: They are not the fingers of one hand, or no frames pair.
@@ -65,7 +63,7 @@ def squeezes(sensor: SensorSelection, other: SensorSelection) -> Squeezes:
             f"{sensor.sensor}, {other.sensor}: found fingers {', '.join(fingers)}; allowed: left "
             "and right, archives of a bench with two fingers"
         )
-    (mine, step, weight), (its, *_) = (_still(each.archived) for each in (sensor, other))
+    (mine, step, weight), (its, *_) = (_still(each, unseen) for each in (sensor, other))
     times = [each.archived.table["t_ns"] for each in (sensor, other)]
     parts = [_nearest(mine[key], its[key], *times) for key in mine.keys() & its.keys()]
     if not sum(part.shape[1] for part in parts):
@@ -79,16 +77,21 @@ def squeezes(sensor: SensorSelection, other: SensorSelection) -> Squeezes:
     return Squeezes(rows, others, SIGNS[fingers[0]] * weight[rows], step[rows], indenter)
 
 
-def _still(sensor: ArchivedSensor) -> tuple[dict[str, Integers], Integers, Floats]:
+def _still(
+    of: SensorSelection, unseen: tuple[str, ...] | None
+) -> tuple[dict[str, Integers], Integers, Floats]:
     """Return usable rows by session and run, in order of time, and steps and weights of all."""
-    table, known = sensor.table, [_known(line, sensor.name) for line in sensor.sources]
-    of = np.asarray(table["source"], np.int64)
+    sensor, table = of.archived, of.archived.table
+    known = [_known(line, sensor.name) for line in sensor.sources]
+    name = np.array(of.archive.indenters)[table["indenter"]]
+    seen = table["seen"] if unseen is None else ~np.isin(name, unseen)
+    source = np.asarray(table["source"], np.int64)
     run, usable, step, weight = (np.array(column) for column in zip(*known, strict=True))
-    chosen = usable[of] & table["valid"] & (table["location"] >= 0)
+    chosen = usable[source] & seen & table["valid"] & (table["location"] >= 0)
     order = np.argsort(table["t_ns"], kind="stable")
     runs = np.unique(run).tolist()
-    by_run = {one: order[(chosen & (run[of] == one))[order]] for one in runs}
-    return by_run, step[of], weight[of]
+    by_run = {one: order[(chosen & (run[source] == one))[order]] for one in runs}
+    return by_run, step[source], weight[source]
 
 
 def _known(line: str, name: str) -> tuple[str, bool, int, float]:

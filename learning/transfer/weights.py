@@ -26,8 +26,8 @@ Curves = list[partial[Floats]]
 POWERS, LINEAR = np.array([0.75, 1.0, 1.5]), 0.01
 # Pieces of the correction of each curve, and the penalty on its bends.
 PIECES, BENDS = 6, 0.1
-# Steps of the squeeze that are told apart; fewest at which weights differ.
-STEPS, FEWEST = 5, 5
+# Steps of the squeeze that differ; fewest at which weights do, by how much at least [N].
+STEPS, FEWEST, DIFFER = 5, 5, 0.1
 # Error of a balance without force, over that at the largest one.
 LEAST_ERROR = 0.05
 # Forces, over the largest, at which errors are taken.
@@ -56,7 +56,7 @@ class Balanced:
     def require_weights(self) -> None:
         """Reject squeezes from which no newtons follow."""
         steps, objects = np.unique(self.step), len(np.unique(self.object))
-        loaded = [step for step in steps if np.ptp(self.weight[self.step == step]) > 0]
+        loaded = [step for step in steps if np.ptp(self.weight[self.step == step]) > DIFFER]
         if len(loaded) < FEWEST or objects < 2:
             raise LearningError(
                 f"squeezes: found {objects} objects, and {len(loaded)} of {len(steps)} steps at "
