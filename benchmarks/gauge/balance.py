@@ -56,13 +56,12 @@ def of_pair(folder: Path, sensors: tuple[str, str], quick: bool) -> dict[str, li
     tested = squeezed(folder / "unseen", sensors, range(OBJECTS, OBJECTS + UNSEEN), 2)["right"]
     first = Request(gauge, folder / "first", ways=ways, unseen=())
     run_choice(first, own_labels(first, None))
-    both, results = Request(pair["right"], folder, pair["left"], unseen=()), {}
+    source, results = pair["left"], {}
     for name in ("the other's model", "weights alone"):
         one = Request(pair["right"], folder / name.replace(" ", "-"), ways=ways, unseen=())
-        by_other = name == "the other's model"
-        run_choice(
-            one, by_model(both, str(first.out), print) if by_other else by_weights(both, print)
-        )
+        model = str(first.out) if name == "the other's model" else None
+        by = by_model(one, source, model, print) if model else by_weights(one, source, print)
+        run_choice(one, by)
         score = score_of(new_frames(one.out, tested))
         figures = score.errors.r2[2], score.errors.mae[2], score.width[2], score.covered[2]
         results[name] = [f"{float(figure):.3f}" for figure in figures]

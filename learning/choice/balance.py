@@ -3,6 +3,7 @@
 import hashlib
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,7 +22,6 @@ from learning.force.labels import LabelSource, Relabelling
 from learning.force.loading import load_force_model
 from learning.force.made_for import made_for
 from learning.force.model import prepared_rows
-from learning.training.checkpoint import MODEL, weights_hash
 from learning.transfer.scale import forces_at
 from learning.transfer.squeezes import Squeezes, squeezes
 from learning.transfer.weights import Balanced, forces_by, straight, weigh_balanced
@@ -38,28 +38,27 @@ STEPS = slice(3, 6)
 _AT_ONCE = 512
 # What no balance tells, for every card.
 NORMAL_ALONE = (
-    "Fx and Fy are unknown (NaN): balance gives the force along the grip axis alone; how both "
-    "fingers divide the weight across it does not follow from it"
+    "Fx and Fy are unknown (NaN): balance is along the grip axis; how fingers divide a weight "
+    "across it does not follow"
 )
 INTERPOLATED = (
-    "the curve of force is interpolated from one held step to the next: no weight was compared "
-    "there, and a sudden bend would not be within the intervals"
+    "the curve of force is interpolated from one held step to the next; the intervals do not "
+    "contain a sudden bend there"
 )
 
 
-def by_model(one: Request, model: str, say: Say) -> Origin:
-    """Return labels by the forces that a model predicts on the other finger, and their errors.
+def by_model(one: Request, source: SensorSelection, model: str, say: Say) -> Origin:
+    """Return labels by the forces that a model predicts on the source, the other finger.
 
     Raises:
         LearningError: The model has no interval of Fz or is of another sensor, or no frames pair.
     """
-    pairs, source = _pairs(one)
+    pairs = squeezes(one.sensor, source, one.unseen)
     folder = Path(model_name(model))
     intervals = read_intervals(folder)
     if intervals is None or (axis := intervals.axes[2]) is None:
         raise LearningError(
-            f"--source-model: found {folder} without an interval of Fz; allowed: a model of "
-            f"`tactile force` of {source.name}"
+            f"--source-model: found no interval of Fz in {folder}; allowed: one of `tactile force`"
         )
     names = [each.sensor for each in made_for(folder)]
     if source.name not in names:
@@ -69,30 +68,29 @@ def by_model(one: Request, model: str, say: Say) -> Origin:
         )
     rows, back = np.unique(pairs.others, return_inverse=True)
     predicted = forces_at(source.archived, rows, load_force_model(folder))
-    unlike = intervals.is_outside(predicted, shapes(source.archived, rows))[back] & pairs.held
-    forces, used = predicted[back], pairs.held & ~unlike
+    held, forces = pairs.step > 0, predicted[back]
+    unlike = intervals.is_outside(predicted, shapes(source.archived, rows))[back] & held
+    used = held & ~unlike
     if not used.any():
         raise LearningError(
-            f"--source-model: found no squeezed frame of {source.name} like those that it learned; "
-            "allowed: a model that knows such contacts"
+            "--source-model: found squeezes unlike all that it learned; allowed: some like those"
         )
     say(
-        f"{used.sum():,} frames labelled by balance with {source.name}; {unlike.sum():,} left out, "
-        "as they are unlike those that its model learned"
+        f"{used.sum():,} frames labelled by {source.name}; left out as unlike those that its model "
+        f"learned: {unlike.sum():,}"
     )
     # Its error grows with its whole force, of which the labels have Fz alone.
     sizes = np.sqrt(np.nansum(np.square(forces[used]), axis=1))
     slope = axis.slope * float(sizes.sum() / np.abs(forces[used, 2]).sum())
-    fz = np.where(pairs.held, forces[:, 2] - pairs.weight, 0.0)
+    fz = np.where(held, forces[:, 2] - pairs.weight, 0.0)
     fz[unlike] = np.nan
     scale = replace(intervals.scale, source=f"that of {source.name}: {intervals.scale.source}")
-    labels = _labels(one, pairs, fz, weights_hash(folder / f"{MODEL}.safetensors"))
     text = f"forces of {source.name}'s model, less the weight"
-    error = AxisError(axis.base, slope)
-    return Origin(labels, scale, text, "transferred", source.name, error, (NORMAL_ALONE,))
+    known = {"scale": scale, "error": AxisError(axis.base, slope), "notes": (NORMAL_ALONE,)}
+    return _origin(one, source, pairs, fz, text, **known)
 
 
-def by_weights(one: Request, say: Say) -> Origin:
+def by_weights(one: Request, source: SensorSelection, say: Say) -> Origin:
     """Return labels by balance and known weights alone; neither finger has a model or a label.
 
     In turn a regression of either finger learns the force that the other one's line and the weight
@@ -102,11 +100,10 @@ def by_weights(one: Request, say: Say) -> Origin:
     Raises:
         LearningError: Too few weights or steps, or no frames pair.
     """
-    pairs, source = _pairs(one)
-    if pairs.held.all():
+    pairs = squeezes(one.sensor, source, one.unseen)
+    if (pairs.step > 0).all():
         raise LearningError(
-            f"{one.sensor.sensor}: found no still frame at step 0; allowed: squeezes that begin "
-            "without contact, where forces are 0"
+            f"{one.sensor.sensor}: found no still frame at step 0; allowed: some without contact"
         )
     fingers = _features(one, one.sensor, pairs.rows), _features(one, source, pairs.others)
     signals = _from_rest(pairs, [features[:, STEPS].mean(axis=1) for features in fingers])
@@ -121,40 +118,34 @@ def by_weights(one: Request, say: Say) -> Origin:
         say(f"forces of {at:.2f} N by weights: +- {width:.1f} % at 90 %")
     largest = np.abs(pairs.weight).max()
     text = f"balance with {source.name} and weights of up to {largest:.2f} N along the grip axis"
-    labels = _labels(
-        one, pairs, -_by_other(pairs, forces_by(weighed.curves, signals))[0], "weights"
-    )
-    scale, notes = Scale(1.0, text, assumed=False), (NORMAL_ALONE, INTERPOLATED)
-    return Origin(labels, scale, text, "transferred", source.name, weighed.error(1), notes)
+    fz = -_by_other(pairs, forces_by(weighed.curves, signals))[0]
+    known = {"error": weighed.error(1), "notes": (NORMAL_ALONE, INTERPOLATED)}
+    return _origin(one, source, pairs, fz, text, scale=Scale(1.0, text, assumed=False), **known)
 
 
-def _pairs(one: Request) -> tuple[Squeezes, SensorSelection]:
-    """Return the squeezes of objects that may be learned, and the other finger."""
-    if one.source is None:
-        raise LearningError("--source: missing; allowed: the other finger, X.markers.zarr")
-    return squeezes(one.sensor, one.source, one.unseen), one.source
-
-
-def _labels(one: Request, pairs: Squeezes, fz: Floats, made_from: str) -> LabelSource:
+def _origin(
+    one: Request, source: SensorSelection, pairs: Squeezes, fz: Floats, text: str, **known: Any
+) -> Origin:
     """Return Fz of pairs (n,) [N] as labels of the sensor's rows; NaN elsewhere."""
     forces = np.full((len(one.sensor.archived), 3), np.nan)
     forces[pairs.rows, 2] = fz
     digest = hashlib.sha256(forces.tobytes()).hexdigest()
-    return LabelSource(Relabelling(lambda rows, *_: forces[rows]), ("balance", made_from, digest))
+    labels = LabelSource(Relabelling(lambda rows, *_: forces[rows]), ("balance", digest))
+    return Origin(labels, errors_from=text, method="transferred", source=source.name, **known)
 
 
 def _by_other(pairs: Squeezes, forces: Floats) -> Floats:
     """Return the force of either finger (2, n) [N] by that of the other (2, n) and the weight."""
-    return np.where(pairs.held, (forces[1] + pairs.weight, forces[0] - pairs.weight), 0.0)
+    return np.where(pairs.step > 0, (forces[1] + pairs.weight, forces[0] - pairs.weight), 0.0)
 
 
 def _from_rest(pairs: Squeezes, signals: list[Floats]) -> Floats:
     """Return signals (2, n) less those without contact."""
-    return np.stack([signal - signal[~pairs.held].mean() for signal in signals])
+    return np.stack([signal - signal[pairs.step == 0].mean() for signal in signals])
 
 
 def _balanced(pairs: Squeezes, signals: Floats) -> Balanced:
-    held = pairs.held
+    held = pairs.step > 0
     return Balanced(signals[:, held], pairs.weight[held], pairs.step[held], pairs.indenter[held])
 
 
@@ -162,8 +153,8 @@ def _features(one: Request, finger: SensorSelection, rows: Integers) -> Floats:
     """Return statistics of a finger's frames with their squares and roots (n, 33)."""
     form: Form = "field" if finger.archived.representation == MASKS else "shading"
     table = finger.archived.table
-    whole = np.isin(table["location"], table["location"][rows]) & table["valid"]
-    frames = np.flatnonzero(whole)
+    pressed = np.isin(table["location"], table["location"][rows])
+    frames = np.flatnonzero(pressed & table["valid"])
     presses = load_presses(finger.archived, frames, device=one.device, form=form)
     parts = torch.arange(presses.frames).to(presses.device).split(_AT_ONCE)
     values = torch.cat(

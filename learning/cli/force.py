@@ -116,11 +116,7 @@ def make_model(options: argparse.Namespace) -> int:
     elif by == TWIN:
         origin = twin_labels(request)
     elif by == BALANCE:
-        from learning.choice.balance import by_model, by_weights
-
-        model = options.source_model
-        origin = by_model(request, model, print) if model else by_weights(request, print)
-        request = replace(request, source=None)
+        request, origin = _by_balance(request, options.source_model)
     else:
         request, origin = _from_source(request, options)
     run_choice(request, origin, lambda line: print(line, flush=True))
@@ -184,6 +180,17 @@ def best_of(request: Request, labels: Path | None) -> str:
         "forces; allowed: labels on two indenters or more, --twin TWIN.yaml, or --source of a "
         "sensor with labels"
     )
+
+
+def _by_balance(request: Request, model: str | None) -> tuple[Request, Origin]:
+    """Label by balance with the other finger; return the request without it."""
+    from learning.choice.balance import by_model, by_weights
+
+    if (source := request.source) is None:
+        raise LearningError("--source: missing; allowed: the other finger, X.markers.zarr")
+    one = replace(request, source=None)
+    labelled = by_model(one, source, model, print) if model else by_weights(one, source, print)
+    return one, labelled
 
 
 def _from_source(request: Request, options: argparse.Namespace) -> tuple[Request, Origin]:

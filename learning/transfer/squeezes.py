@@ -19,8 +19,8 @@ Integers = NDArray[np.int64]
 GRAVITY = 9.80665
 # Longest time from a frame of one finger to that of the other [ns].
 TOGETHER_NS = 20_000_000
-# Attribute of a sensor that names its finger, and the sign of the weight on it.
-FINGER, SIGNS = "finger", {"left": -1.0, "right": 1.0}
+# Sign of the weight on a finger, by the attribute of its sensor.
+SIGNS = {"left": -1.0, "right": 1.0}
 # Keys in the provenance of a frame, beside its session and run: mass that the fingers bear. Frames
 # are learned from that are `still` at step 0, without contact, or while nothing else bears a part.
 KEYS = ("mass", "turn", "step", "still")
@@ -37,14 +37,9 @@ class Squeezes:
     weight: Floats
     """Normal force on the sensor less that on the other finger (n,) [N]."""
     step: Integers
-    """Step of the squeeze (n,); 0: without contact."""
+    """Step of the squeeze (n,); 0: without contact; else the fingers alone bear the object."""
     indenter: Integers
     """Code of the object in the sensor's archive (n,)."""
-
-    @property
-    def held(self) -> NDArray[np.bool_]:
-        """True where the fingers bear the object (n,)."""
-        return self.step > 0
 
 
 def squeezes(
@@ -57,7 +52,7 @@ def squeezes(
     Raises:
         LearningError: They are not the fingers of one hand, or no frames pair.
     """
-    fingers = [str(each.archived.attrs.get(FINGER)) for each in (sensor, other)]
+    fingers = [str(each.archived.attrs.get("finger")) for each in (sensor, other)]
     if sorted(fingers) != sorted(SIGNS):
         raise LearningError(
             f"{sensor.sensor}, {other.sensor}: found fingers {', '.join(fingers)}; allowed: left "
@@ -65,7 +60,8 @@ def squeezes(
         )
     (mine, step, weight), (its, *_) = (_still(each, unseen) for each in (sensor, other))
     times = [each.archived.table["t_ns"] for each in (sensor, other)]
-    parts = [_nearest(mine[key], its[key], *times) for key in mine.keys() & its.keys()]
+    keys = [key for key, rows in its.items() if len(rows) and key in mine]
+    parts = [_nearest(mine[key], its[key], *times) for key in keys]
     if not sum(part.shape[1] for part in parts):
         raise LearningError(
             f"--source: found no frames of {other.sensor} within {TOGETHER_NS // 1_000_000} ms of "
@@ -89,8 +85,7 @@ def _still(
     run, usable, step, weight = (np.array(column) for column in zip(*known, strict=True))
     chosen = usable[source] & seen & table["valid"] & (table["location"] >= 0)
     order = np.argsort(table["t_ns"], kind="stable")
-    runs = np.unique(run).tolist()
-    by_run = {one: order[(chosen & (run[source] == one))[order]] for one in runs}
+    by_run = {one: order[(chosen & (run[source] == one))[order]] for one in np.unique(run)}
     return by_run, step[source], weight[source]
 
 
@@ -102,9 +97,9 @@ def _known(line: str, name: str) -> tuple[str, bool, int, float]:
         run = f"{source['session']} {source['run']}"
         mass, along, step = float(mass), float(turn[0]), int(step)
     except (ValueError, KeyError, TypeError, IndexError) as error:
+        allowed = f"frames of squeezes, with {', '.join(KEYS)}"
         raise LearningError(
-            f"{name}: found the source {line[:60]!r} ({error!r}); allowed: frames of squeezes, "
-            f"whose sources have {', '.join(KEYS)}"
+            f"{name}: found {line[:60]!r} ({error!r}); allowed: {allowed}"
         ) from None
     weight = GRAVITY * mass * along if step else 0.0
     return run, bool(still and (mass or not step)), step, weight
@@ -114,8 +109,6 @@ def _nearest(
     rows: Integers, others: Integers, times: NDArray[np.int64], of_others: NDArray[np.int64]
 ) -> Integers:
     """Return rows and those of the other finger nearest in time (2, n), if near enough."""
-    if not len(others):
-        return np.zeros((2, 0), np.int64)
     own, its = times[rows], of_others[others]
     after = np.clip(np.searchsorted(its, own), 0, len(its) - 1)
     before = np.maximum(after - 1, 0)

@@ -59,10 +59,9 @@ class Balanced:
         loaded = [step for step in steps if np.ptp(self.weight[self.step == step]) > DIFFER]
         if len(loaded) < FEWEST or objects < 2:
             raise LearningError(
-                f"squeezes: found {objects} objects, and {len(loaded)} of {len(steps)} steps at "
-                f"which known weights load the fingers differently; allowed: two objects and "
-                f"{FEWEST} steps or more, with the weight on either finger (turn x = 1 and -1); or "
-                "--source-model"
+                f"squeezes: found {objects} objects, and {len(loaded)} of {len(steps)} steps with "
+                f"weights on both fingers (turn x = 1 and -1); allowed: two objects and {FEWEST} "
+                "steps or more, or --source-model"
             )
 
 
@@ -114,7 +113,9 @@ def weigh_balanced(some: Balanced) -> Weighed:
 def straight(some: Balanced) -> Floats:
     """Return the factors (2,) [N] of lines in place of curves, while errors are still large."""
     some.require_weights()
-    return np.concatenate(_solved(some, [signal[:, None] for signal in some.signals]))
+    return np.concatenate(
+        _solved(some, [signal[:, None] for signal in some.signals], np.zeros((0, 2)))
+    )
 
 
 def forces_by(curves: Curves, signals: Floats) -> Floats:
@@ -123,55 +124,47 @@ def forces_by(curves: Curves, signals: Floats) -> Floats:
 
 
 def _fit(some: Balanced) -> Curves:
-    """Return the curves by some squeezes: powers, and hats that correct them."""
+    """Return the curves by some squeezes: powers, and bends that correct them."""
     largest = some.signals.max(axis=1)
     raised = [_raised(signal) for signal in some.signals / largest[:, None]]
-    first = _solved(some, raised)
+    first = _solved(some, raised, np.zeros((0, 2 * len(POWERS))))
     starts = [each @ own for each, own in zip(raised, first, strict=True)]
-    knots = [np.linspace(0.0, max(each.max(), 1e-9), PIECES + 1) for each in starts]
-    hats = [_hats(*each) for each in zip(starts, knots, strict=True)]
-    bends = BENDS * PIECES * np.diff(np.eye(PIECES + 1), 2, axis=0)[:, 1:]
-    forces = _solved(some, hats, np.asarray(np.kron(np.eye(2), bends)))
-    return [partial(_curve, *each) for each in zip(largest, first, knots, forces, strict=True)]
+    ends = [max(float(each.max()), 1e-9) for each in starts]
+    knots = [end * np.arange(1, PIECES) / PIECES for end in ends]
+    ramps = [_ramps(*each) for each in zip(starts, knots, strict=True)]
+    bends = BENDS * np.diag([each for end in ends for each in (0.0, *[end] * (PIECES - 1))])
+    slopes = _solved(some, ramps, bends)
+    return [partial(_curve, *each) for each in zip(largest, first, knots, slopes, strict=True)]
 
 
-def _curve(largest: float, first: Floats, knots: Floats, forces: Floats, signals: Floats) -> Floats:
+def _curve(largest: float, first: Floats, knots: Floats, slopes: Floats, signals: Floats) -> Floats:
     """Return forces (n,) [N] at signals (n,): linear from knot to knot and beyond the last."""
-    return np.asarray(_hats(_raised(signals / largest) @ first, knots) @ forces)
+    return np.asarray(_ramps(_raised(signals / largest) @ first, knots) @ slopes)
 
 
-def _solved(some: Balanced, parts: list[Floats], penalty: Floats | None = None) -> list[Floats]:
+def _solved(some: Balanced, parts: list[Floats], penalty: Floats) -> list[Floats]:
     """Return the weights of both fingers' functions (n, m) with no balance along instruments."""
     size = (some.signals / some.signals.max(axis=1)[:, None]).mean(axis=0)
     steps, of_step = np.unique(some.step, return_inverse=True)
-    precision = 1.0 / (
-        LEAST_ERROR + np.bincount(of_step, size)[of_step] / np.bincount(of_step)[of_step]
-    )
+    precision = 1.0 / (LEAST_ERROR + (np.bincount(of_step, size) / np.bincount(of_step))[of_step])
     at = np.linspace(steps[0], steps[-1], STEPS)
     near = np.maximum(1 - np.abs(some.step[:, None] - at) / (at[1] - at[0]), 0.0)
     instruments = np.hstack([near, some.weight[:, None] * near])
     basis, _ = np.linalg.qr(instruments * precision[:, None])
     rows = basis.T @ (np.hstack([parts[0], -parts[1]]) * precision[:, None])
     wanted = basis.T @ (some.weight * precision)
-    if penalty is not None:
-        rows, wanted = np.vstack([rows, penalty]), np.r_[wanted, np.zeros(len(penalty))]
+    rows, wanted = np.vstack([rows, penalty]), np.r_[wanted, np.zeros(len(penalty))]
     scale = np.linalg.norm(rows, axis=0)
     return np.split(np.linalg.lstsq(rows / scale, wanted, rcond=None)[0] / scale, 2)
 
 
 def _raised(relative: Floats) -> Floats:
     """Return `POWERS` (n, 3) of signals (n,) over the largest one, linear and odd about 0."""
-    some = relative[:, None]
-    return np.where(
-        some > LINEAR, np.maximum(some, LINEAR) ** POWERS, some * LINEAR ** (POWERS - 1)
-    )
+    some, large = relative[:, None], np.maximum(relative, LINEAR)[:, None]
+    return np.asarray(large**POWERS - (large - some) * LINEAR ** (POWERS - 1))
 
 
-def _hats(values: Floats, knots: Floats) -> Floats:
-    """Return weights (n, p) of the knots at values (n,); at the first knot functions are 0."""
-    at = np.clip(np.searchsorted(knots, values) - 1, 0, len(knots) - 2)
-    part = (values - knots[at]) / (knots[at + 1] - knots[at])
-    weights = np.zeros((len(values), len(knots)))
-    rows = np.arange(len(values))
-    weights[rows, at], weights[rows, at + 1] = 1 - part, part
-    return weights[:, 1:]
+def _ramps(values: Floats, knots: Floats) -> Floats:
+    """Return functions (n, p) of values (n,), each of which bends at a knot but the first."""
+    column = values[:, None]
+    return np.hstack([column, np.maximum(column - knots, 0.0)])
