@@ -14,7 +14,6 @@ from learning.choice.balance import by_model, by_weights
 from learning.choice.run import Request, own_labels, run_choice
 from learning.data.matching import SensorSelection
 from learning.markers.frames import taxel_masks
-from learning.markers.pattern import with_reference
 from learning.markers.segment import CameraPreset, Segmenter, TaxelPreset, preset
 from learning.transfer.score import new_frames, score_of
 from recorder import MarkerArchive
@@ -25,46 +24,38 @@ from rig.bench.worlds import Noise, WorldSpec
 from rig.mock.world.pair import PairWorld
 from sim.indenters import NAMES
 
-PAIRS = {
-    "two GelSights": ("gelsight", "gelsight"),
-    "two uSkins": ("uskin", "uskin"),
-    "one of each": ("gelsight", "uskin"),
-}
+PAIRS = (("gelsight", "gelsight"), ("uskin", "uskin"), ("gelsight", "uskin"))
 PRESETS = {"gelsight": "bench-gelsight", "uskin": "uskin"}
-# Closing of a step [m], mass of every object [kg], and its width [m].
-STEP, MASS, WIDTH = 0.3e-3, 0.3, 0.04
-FZ_ALONE = np.where(np.arange(6) == 2, 1.0, np.nan)
-OBJECTS, UNSEEN, STEPS, SQUEEZES = 30, 8, 7, 1
+# Closing of a step [m], mass of every object [kg], its width [m], and the axes with labels.
+STEP, MASS, WIDTH, FZ = 0.3e-3, 0.3, 0.04, np.where(np.arange(6) == 2, 1.0, np.nan)
+OBJECTS, UNSEEN, STEPS = 30, 8, 7
 
 
 def measure(run: Run) -> dict[str, Any]:
     """Squeeze objects between skins of each pair, and learn the forces of the right one."""
-    run.seeds, run.spread = (0,), "one set of objects"
-    results = {}
-    for name in PAIRS:
-        folder = folder_of(run, "gauge-balance") / name.replace(" ", "-")
-        results[name] = run.once(name, partial(of_pair, folder, PAIRS[name], run.quick))
+    run.seeds, run.spread, results = (0,), "one set of objects", {}
+    for pair in PAIRS[: 1 if run.quick else None]:
+        name, folder = " and ".join(pair), folder_of(run, "gauge-balance") / "-".join(pair)
+        results[name] = run.once(name, partial(of_pair, folder, pair, run.quick))
         run.progress(len(results) / len(PAIRS))
     return results
 
 
 def of_pair(folder: Path, sensors: tuple[str, str], quick: bool) -> dict[str, list[str]]:
     """Return errors and coverage on objects that no stage saw; the right finger has no label."""
-    count, ways = 6 if quick else OBJECTS, ("ridge", "kernel")
+    count, ways, results = 12 if quick else OBJECTS, ("ridge", "kernel"), {}
     gauge = squeezed(folder / "gauge", sensors, range(count), 0)["left"]
     pair = squeezed(folder / "pair", sensors, range(count), 1)
     tested = squeezed(folder / "unseen", sensors, range(OBJECTS, OBJECTS + UNSEEN), 2)["right"]
     first = Request(gauge, folder / "first", ways=ways, unseen=())
     run_choice(first, own_labels(first, None))
-    source, results = pair["left"], {}
-    for name in ("the other's model", "weights alone"):
+    for name, model in (("the other's model", str(first.out)), ("weights alone", None)):
         one = Request(pair["right"], folder / name.replace(" ", "-"), ways=ways, unseen=())
-        model = str(first.out) if name == "the other's model" else None
-        by = by_model(one, source, model, print) if model else by_weights(one, source, print)
-        run_choice(one, by)
+        given = one, pair["left"]
+        run_choice(one, by_model(*given, model, print) if model else by_weights(*given, print))
         score = score_of(new_frames(one.out, tested))
         figures = score.errors.r2[2], score.errors.mae[2], score.width[2], score.covered[2]
-        results[name] = [f"{float(figure):.3f}" for figure in figures]
+        results[name] = [f"{figure:.3f}" for figure in figures]
     return results
 
 
@@ -82,7 +73,7 @@ def squeezed(
         noise = random.normal(0, 2.1, (16, 3))
         return world.reading(side) + (noise if sensors[side] == "uskin" else 0)
 
-    for squeeze, (number, turn, _) in enumerate(product(objects, (1, -1), range(SQUEEZES))):
+    for squeeze, (number, turn) in enumerate(product(objects, (1, -1))):
         world.place(GraspObject("object", (faces[number][0], faces[number][1]), WIDTH, MASS))
         for step in range(STEPS + 1):
             closing = STEP * step * random.uniform(0.9, 1.1) if step else -4e-3
@@ -90,61 +81,42 @@ def squeezed(
                 t_ns += 100_000_000
                 state = world.step(t_ns, WIDTH - closing, (turn, 0, 0), step > 0)
             for side in (0, 1):
-                seen[side].append(
-                    (read(side), read(side) if not step else None, state.wrench[side])
-                )
+                seen[side].append((read(side), None if step else read(side), state.wrench[side]))
             rows.append((number, squeeze, step, t_ns, turn))
-    return {
-        finger: archived(folder / f"{finger}.markers.zarr", name, finger, rows, some)
-        for finger, name, some in zip(FINGERS, sensors, seen, strict=True)
-    }
+    both = zip(FINGERS, sensors, seen, strict=True)
+    return {finger: archived(folder, finger, name, some, rows) for finger, name, some in both}
 
 
 def archived(
-    path: Path, sensor: str, finger: str, rows: list[Any], seen: list[Any]
+    folder: Path, finger: str, sensor: str, seen: list[Any], rows: list[Any]
 ) -> SensorSelection:
     """Write the frames of a finger, each squeeze with its own reference; return them."""
+    path, settings = folder / f"{finger}.markers.zarr", preset(PRESETS[sensor])
     number, squeeze, step, t_ns, turn = np.array(rows).T
-    settings, rests = preset(PRESETS[sensor]), [rest for _, rest, _ in seen if rest is not None]
-    of = np.repeat(np.arange(len(rests)), STEPS + 1)
+    signals, rests = [one for one, *_ in seen], [rest for _, rest, _ in seen if rest is not None]
     if isinstance(settings, TaxelPreset):
-        masks = taxel_masks(np.array([one for one, *_ in seen]), np.array(rests)[of], settings)
+        masks = taxel_masks(np.array(signals), np.array(rests)[squeeze], settings)
         references = taxel_masks(np.array(rests), np.array(rests), settings)
     else:
         assert isinstance(settings, CameraPreset)
         segmenter = Segmenter(settings)
-        views = [segmenter.view(rest) for rest in rests]
-        finders = [with_reference(segmenter, view) for view in views]
-        references = np.array([segmenter.mask_of_view(view) for view in views])
-        seen_as = [
-            finders[k].mask_of_view(segmenter.view(one[0])) for k, one in zip(of, seen, strict=True)
-        ]
-        masks = np.array(seen_as)
-    packed, objects = pack(masks), tuple(f"object-{k}" for k in range(number.max() + 1))
-    scale = settings.mm_per_px or 0.0249
-    plan = SensorPlan(
-        sensor, len(rows), STEPS + 1, len(rows), pack(references), scale, attrs={"finger": finger}
-    )
+        masks, references = (
+            np.array([segmenter.mask_of_view(segmenter.view(one)) for one in some])
+            for some in (signals, rests)
+        )
+    objects, count = tuple(f"object-{k}" for k in range(number.max() + 1)), len(rows)
+    scale, own = settings.mm_per_px or 1.0, {"finger": finger}
+    plan = SensorPlan(sensor, count, 8, 8 * count, pack(references), scale, attrs=own)
     path.parent.mkdir(parents=True, exist_ok=True)
-    writer, zeros = ArchiveWriter.begin(path, ArchivePlan((plan,), objects)), np.zeros(len(rows))
+    writer, ones = ArchiveWriter.begin(path, ArchivePlan((plan,), objects)), np.ones(count, bool)
     columns = {"indenter": number, "location": squeeze, "target": squeeze, "frame": step}
-    columns |= {"phase": step * 0 - 1, "depth": zeros + STEP * step, "t_ns": t_ns, "reference": of}
+    columns |= {"phase": 0 * step - 1, "depth": STEP * step, "t_ns": t_ns, "reference": squeeze}
+    columns |= {"seen": ones, "valid": ones, "position": np.zeros((count, 2))}
+    columns["wrench"] = np.array([wrench for *_, wrench in seen]) * FZ
     known = {"session": "squeezes", "run": 0, "mass": MASS, "still": True}
-    writer.sensors[sensor].write(
-        0,
-        packed=packed,
-        table={
-            **columns,
-            "seen": zeros == 0,
-            "valid": zeros == 0,
-            "position": np.zeros((len(rows), 2)),
-            "wrench": np.array([wrench for *_, wrench in seen]) * FZ_ALONE,
-        },
-        source=[
-            json.dumps({**known, "turn": [int(x), 0, 0], "step": int(k), "target": int(s)})
-            for s, k, x in zip(squeeze, step, turn, strict=True)
-        ],
-    )
+    facts = zip(step.tolist(), turn.tolist(), strict=True)
+    source = [json.dumps({**known, "turn": [x, 0, 0], "step": k}) for k, x in facts]
+    writer.sensors[sensor].write(0, packed=pack(masks), table=columns, source=source)
     writer.finish()
     return SensorSelection(MarkerArchive(path), sensor, sensor)
 
@@ -156,8 +128,7 @@ def section(values: dict[str, Any], page: Page) -> str:
     lines = [[pair, way, *row] for pair, ways in values.items() for way, row in ways.items()]
     return f"""## By balance, between two fingers
 
-Objects of {1e3 * MASS:g} g with another paper indenter on each side, squeezed in {STEPS} steps with
-one finger below and then the other. The right finger has no label; normal force on {UNSEEN} objects
-that no stage saw.
+Objects of {1e3 * MASS:g} g with another paper indenter on either side, in {STEPS} steps, with one
+finger below and then the other. The right finger has no label; Fz on {UNSEEN} unseen objects.
 
 {table(head, lines)}"""

@@ -77,8 +77,8 @@ def test_frames_of_both_fingers_pair_by_time(tmp_path: Path) -> None:
 
 
 def test_two_independent_errors_add_as_squares() -> None:
-    together = both(AxisError(0.3, 0.0), AxisError(0.4, 0.1))
-    assert together == AxisError(pytest.approx(0.5), pytest.approx(0.1))
+    summed = both(AxisError(0.3, 0.0), AxisError(0.4, 0.1))
+    assert summed == AxisError(pytest.approx(0.5), pytest.approx(0.1))
     assert both(None, AxisError(0.4, 0.1)) is None
 
 
