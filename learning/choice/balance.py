@@ -32,11 +32,8 @@ Integers = NDArray[np.int64]
 
 # Rounds in which either finger learns the other's force, and the penalty of its ridge regression.
 ROUNDS, PENALTY = 4, 0.003
-# Columns of `statistics` whose mean is the first signal: the steps from place to place.
-STEPS = slice(3, 6)
-# Frames prepared at once.
-_AT_ONCE = 512
-# What no balance tells, for every card.
+# Columns of `statistics` whose mean is the first signal; frames prepared at once.
+STEPS, _AT_ONCE = slice(3, 6), 512
 NORMAL_ALONE = (
     "Fx and Fy are unknown (NaN): balance is along the grip axis; how fingers divide a weight "
     "across it does not follow"
@@ -75,17 +72,14 @@ def by_model(one: Request, source: SensorSelection, model: str, say: Say) -> Ori
         raise LearningError(
             "--source-model: found squeezes unlike all that it learned; allowed: some like those"
         )
-    say(
-        f"{used.sum():,} frames labelled by {source.name}; left out as unlike those that its model "
-        f"learned: {unlike.sum():,}"
-    )
+    say(f"{used.sum():,} frames labelled; unlike those that the model learned: {unlike.sum():,}")
     # Its error grows with its whole force, of which the labels have Fz alone.
     sizes = np.sqrt(np.nansum(np.square(forces[used]), axis=1))
     slope = axis.slope * float(sizes.sum() / np.abs(forces[used, 2]).sum())
     fz = np.where(held, forces[:, 2] - pairs.weight, 0.0)
     fz[unlike] = np.nan
-    scale = replace(intervals.scale, source=f"that of {source.name}: {intervals.scale.source}")
     text = f"forces of {source.name}'s model, less the weight"
+    scale = replace(intervals.scale, source=f"{text}: {intervals.scale.source}")
     known = {"scale": scale, "error": AxisError(axis.base, slope), "notes": (NORMAL_ALONE,)}
     return _origin(one, source, pairs, fz, text, **known)
 
@@ -116,8 +110,8 @@ def by_weights(one: Request, source: SensorSelection, say: Say) -> Origin:
     for at in np.array([0.2, 0.5, 0.8]) * force[-1]:
         width = 100 * float(np.interp(at, force, half / force))
         say(f"forces of {at:.2f} N by weights: +- {width:.1f} % at 90 %")
-    largest = np.abs(pairs.weight).max()
-    text = f"balance with {source.name} and weights of up to {largest:.2f} N along the grip axis"
+    largest = f"{np.abs(pairs.weight).max():.2f} N along the grip axis"
+    text = f"balance with {source.name} and weights of up to {largest}"
     fz = -_by_other(pairs, forces_by(weighed.curves, signals))[0]
     known = {"error": weighed.error(1), "notes": (NORMAL_ALONE, INTERPOLATED)}
     return _origin(one, source, pairs, fz, text, scale=Scale(1.0, text, assumed=False), **known)
@@ -152,9 +146,8 @@ def _balanced(pairs: Squeezes, signals: Floats) -> Balanced:
 def _features(one: Request, finger: SensorSelection, rows: Integers) -> Floats:
     """Return statistics of a finger's frames with their squares and roots (n, 33)."""
     form: Form = "field" if finger.archived.representation == MASKS else "shading"
-    table = finger.archived.table
-    pressed = np.isin(table["location"], table["location"][rows])
-    frames = np.flatnonzero(pressed & table["valid"])
+    place, valid = (finger.archived.table[name] for name in ("location", "valid"))
+    frames = np.flatnonzero(np.isin(place, place[rows]) & valid)
     presses = load_presses(finger.archived, frames, device=one.device, form=form)
     parts = torch.arange(presses.frames).to(presses.device).split(_AT_ONCE)
     values = torch.cat(

@@ -16,9 +16,8 @@ from learning.errors import LearningError
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-GRAVITY = 9.80665
 # Longest time from a frame of one finger to that of the other [ns].
-TOGETHER_NS = 20_000_000
+GRAVITY, TOGETHER_NS = 9.80665, 20_000_000
 # Sign of the weight on a finger, by the attribute of its sensor.
 SIGNS = {"left": -1.0, "right": 1.0}
 # Keys in the provenance of a frame, beside its session and run: mass that the fingers bear. Frames

@@ -13,10 +13,9 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
 from learning.errors import LearningError
-from learning.force.intervals import COVERAGE, AxisError
+from learning.force.intervals import AxisError
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -30,6 +29,8 @@ PIECES, BENDS = 6, 0.1
 STEPS, FEWEST, DIFFER = 5, 5, 0.1
 # Error of a balance without force, over that at the largest one.
 LEAST_ERROR = 0.05
+# Quantile of 95 % of Student's distribution, by one over the degrees of freedom.
+STUDENT = (0.0, 0.1, 0.2, 1 / 3, 0.5), (1.645, 1.812, 2.015, 2.353, 2.920)
 # Forces, over the largest, at which errors are taken.
 AT = np.linspace(0.1, 1.0, 10)
 
@@ -57,10 +58,10 @@ class Balanced:
         """Reject squeezes from which no newtons follow."""
         steps, objects = np.unique(self.step), len(np.unique(self.object))
         loaded = [step for step in steps if np.ptp(self.weight[self.step == step]) > DIFFER]
-        if len(loaded) < FEWEST or objects < 2:
+        if len(loaded) < FEWEST or objects < 3:
             raise LearningError(
                 f"squeezes: found {objects} objects, and {len(loaded)} of {len(steps)} steps with "
-                f"weights on both fingers (turn x = 1 and -1); allowed: two objects and {FEWEST} "
+                f"weights on both fingers (turn x = 1 and -1); allowed: 3 objects and {FEWEST} "
                 "steps or more, or --source-model"
             )
 
@@ -95,27 +96,31 @@ def weigh_balanced(some: Balanced) -> Weighed:
     curves = _fit(some)
     at = np.quantile(some.signals, 0.98, axis=1)[:, None] * np.linspace(0.05, 1.0, 40)
     forces = forces_by(curves, at)
-    if not (np.diff(forces, axis=1) > 0).all():
-        raise LearningError(
-            "squeezes: found signals from which no rising force follows; allowed: weights and "
-            "steps that the fingers feel clearly, on more objects or turns"
-        )
+    _require_rising(np.diff(forces, axis=1))
     wanted = forces[:, -1:] * AT
     at = np.stack([np.interp(*each) for each in zip(wanted, forces, at, strict=True)])
     objects = np.unique(some.object)
     left_out = np.stack([forces_by(_fit(some.only(some.object != one)), at) for one in objects])
     degrees = len(objects) - 1
-    error = np.sqrt(degrees * left_out.var(axis=0))
-    half = float(student.ppf(0.5 + COVERAGE / 2, degrees)) * error
+    half = np.interp(1 / degrees, *STUDENT) * np.sqrt(degrees * left_out.var(axis=0))
     return Weighed(curves, forces_by(curves, at), half)
 
 
 def straight(some: Balanced) -> Floats:
     """Return the factors (2,) [N] of lines in place of curves, while errors are still large."""
     some.require_weights()
-    return np.concatenate(
-        _solved(some, [signal[:, None] for signal in some.signals], np.zeros((0, 2)))
-    )
+    signals = [signal[:, None] for signal in some.signals]
+    factors = np.concatenate(_solved(some, signals, np.zeros((0, 2))))
+    _require_rising(factors)
+    return factors
+
+
+def _require_rising(slopes: Floats) -> None:
+    if not (slopes > 0).all():
+        raise LearningError(
+            "squeezes: found signals that do not rise with the force; allowed: masses and turns as "
+            "they were (x from the left finger to the right one), felt clearly, on more objects"
+        )
 
 
 def forces_by(curves: Curves, signals: Floats) -> Floats:
@@ -129,7 +134,7 @@ def _fit(some: Balanced) -> Curves:
     raised = [_raised(signal) for signal in some.signals / largest[:, None]]
     first = _solved(some, raised, np.zeros((0, 2 * len(POWERS))))
     starts = [each @ own for each, own in zip(raised, first, strict=True)]
-    ends = [max(float(each.max()), 1e-9) for each in starts]
+    ends = [max(each.max(), 1e-9) for each in starts]
     knots = [end * np.arange(1, PIECES) / PIECES for end in ends]
     ramps = [_ramps(*each) for each in zip(starts, knots, strict=True)]
     bends = BENDS * np.diag([each for end in ends for each in (0.0, *[end] * (PIECES - 1))])

@@ -14,7 +14,7 @@ from learning.force.intervals import AxisError, both, read_intervals
 from learning.force.loading import load_force_model
 from learning.transfer.scale import forces_at
 from learning.transfer.squeezes import squeezes
-from learning.transfer.weights import weigh_balanced
+from learning.transfer.weights import straight, weigh_balanced
 from tactile import force
 
 # Exponents by which the signals of ten planted benches are bent; forces at which they are compared.
@@ -53,8 +53,10 @@ def test_too_few_weights_are_refused() -> None:
         weigh_balanced(some.only(some.step <= 4))
     with pytest.raises(LearningError, match="found 1 objects"):
         weigh_balanced(some.only(some.object == 0))
-    with pytest.raises(LearningError, match="no rising force follows"):
-        weigh_balanced(replace(some, weight=-some.weight))
+    # The fingers are swapped, or the turns.
+    for fit in (weigh_balanced, straight):
+        with pytest.raises(LearningError, match="signals that do not rise with the force"):
+            fit(replace(some, weight=-some.weight))
 
 
 def test_frames_of_both_fingers_pair_by_time(tmp_path: Path) -> None:
