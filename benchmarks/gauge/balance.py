@@ -43,13 +43,14 @@ def measure(run: Run) -> dict[str, Any]:
 
 def of_pair(folder: Path, sensors: tuple[str, str], quick: bool) -> dict[str, list[str]]:
     """Return errors and coverage on objects that no stage saw; the right finger has no label."""
-    count, ways, results = 12 if quick else OBJECTS, ("ridge", "kernel"), {}
+    count, ways, results = 6 if quick else OBJECTS, ("ridge", "kernel"), {}
     gauge = squeezed(folder / "gauge", sensors, range(count), 0)["left"]
     pair = squeezed(folder / "pair", sensors, range(count), 1)
     tested = squeezed(folder / "unseen", sensors, range(OBJECTS, OBJECTS + UNSEEN), 2)["right"]
     first = Request(gauge, folder / "first", ways=ways, unseen=())
     run_choice(first, own_labels(first, None))
-    for name, model in (("the other's model", str(first.out)), ("weights alone", None)):
+    origins = ("the other's model", str(first.out)), ("weights alone", None)
+    for name, model in origins[: 1 if quick else 2]:
         one = Request(pair["right"], folder / name.replace(" ", "-"), ways=ways, unseen=())
         given = one, pair["left"]
         run_choice(one, by_model(*given, model, print) if model else by_weights(*given, print))
@@ -114,8 +115,8 @@ def archived(
     columns |= {"seen": ones, "valid": ones, "position": np.zeros((count, 2))}
     columns["wrench"] = np.array([wrench for *_, wrench in seen]) * FZ
     known = {"session": "squeezes", "run": 0, "mass": MASS, "still": True}
-    facts = zip(step.tolist(), turn.tolist(), strict=True)
-    source = [json.dumps({**known, "turn": [x, 0, 0], "step": k}) for k, x in facts]
+    steps = zip(step.tolist(), turn.tolist(), strict=True)
+    source = [json.dumps({**known, "turn": [x, 0, 0], "step": k}) for k, x in steps]
     writer.sensors[sensor].write(0, packed=pack(masks), table=columns, source=source)
     writer.finish()
     return SensorSelection(MarkerArchive(path), sensor, sensor)

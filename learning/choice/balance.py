@@ -30,8 +30,8 @@ from recorder.archive import MASKS
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-# Rounds in which either finger learns the other's force, and the penalty of its ridge regression.
-ROUNDS, PENALTY = 4, 0.003
+# Rounds in which either finger learns the other's force, penalty of its regression, and folds.
+ROUNDS, PENALTY, FOLDS = 4, 0.003, 8
 # Columns of `statistics` whose mean is the first signal; frames prepared at once.
 STEPS, _AT_ONCE = slice(3, 6), 512
 NORMAL_ALONE = (
@@ -161,10 +161,12 @@ def _features(one: Request, finger: SensorSelection, rows: Integers) -> Floats:
 def _learned(features: Floats, forces: Floats, objects: Integers, seed: int) -> Floats:
     """Return the force of each frame (n,) [N] by a regression on the others' objects."""
     predicted = np.zeros(len(forces))
-    for fold in folds_of(np.unique(objects).tolist(), seed):
+    for fold in folds_of(np.unique(objects).tolist(), seed, FOLDS):
         inside = np.isin(objects, sorted(fold))
         mean, scale = features[~inside].mean(axis=0), features[~inside].std(axis=0)
         standard = (features - mean) / np.where(scale > 0, scale, 1.0)
-        ((weights, offset),) = ridge(standard[~inside], forces[~inside, None], (PENALTY,))
-        predicted[inside] = (standard[inside] @ weights + offset)[:, 0]
+        own = standard[~inside]
+        ((weights, offset),) = ridge(own, forces[~inside, None], (PENALTY,))
+        near = standard[inside].clip(own.min(axis=0), own.max(axis=0))
+        predicted[inside] = (near @ weights + offset)[:, 0]
     return predicted
