@@ -109,8 +109,6 @@ def test_the_command_learns_a_finger_from_the_other_and_from_weights(
     assert "by weights: +-" in capsys.readouterr().out
     true = np.array([-one.forces[1] for one in some])
     new = np.array([one.code == 11 for one in some])
-    its = read_intervals(other)
-    assert its is not None
     for name in ("model", "weighed"):
         folder = tmp_path / name
         model, intervals = load_force_model(folder), read_intervals(folder)
@@ -121,6 +119,5 @@ def test_the_command_learns_a_finger_from_the_other_and_from_weights(
         assert np.square(predicted[:, 2] - true)[new].mean() < 0.05 * true.var()
         low, high = intervals.of(predicted)
         assert ((low[:, 2] <= true) & (true <= high[:, 2])).mean() > 0.9
-    assert intervals.axes[2].base > its.axes[2].base / 10
     with pytest.raises(LearningError, match="--source-model: found a model of dense; allowed: one"):
         run_module(force, *words, tmp_path / "x", "--source-model", tmp_path / "model")
