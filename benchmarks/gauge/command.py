@@ -7,7 +7,7 @@ python -m benchmarks gauge --quick
 import argparse
 from functools import partial
 
-from benchmarks.gauge import coverage, ladder, page
+from benchmarks.gauge import balance, coverage, ladder, page
 from benchmarks.gauge.planted import GROUPS
 from benchmarks.report import Benchmark, Part
 from recorder.command_line.options import names, whole
@@ -38,6 +38,7 @@ BENCHMARK = Benchmark(
             for group in GROUPS
         ),
         Part("coverage", coverage.measure, coverage.section),
+        Part("balance", balance.measure, balance.section),
     ],
     page.summary,
     add_options,

@@ -11,11 +11,12 @@ from typing import Any
 from learning.config import READER
 
 # Origins of labels, the best first, and words for them.
-OWN, TWIN, SOURCE = "own", "twin", "source"
+OWN, TWIN, SOURCE, BALANCE = "own", "twin", "source", "balance"
 LABELS = {
     OWN: "its own labels",
     TWIN: "the forces of its twin",
     SOURCE: "another sensor's labels",
+    BALANCE: "balance with the other finger of a hand",
 }
 FILE = Path(__file__).with_name("evidence.yaml")
 
@@ -34,4 +35,6 @@ def lines_of_way(chosen: str) -> Iterator[str]:
         fits = [row[name] for name in ("kinds", "skins", "patterns")]
         values = f"{fits[0]:7.3f} {fits[1]:7.3f} {fits[2]:8.3f}"
         yield f"{mark} {row['way']:38s} {values}  {row['presses']}"
+    if chosen == BALANCE:
+        yield f"* {LABELS[BALANCE]}: Fz alone; docs/how-to/calibrate-by-balance.md"
     yield "presses: with a gauge on the sensor; docs/results/gauge.md has intervals"

@@ -26,6 +26,7 @@ from learning.force.intervals import (
     Intervals,
     LearnedShapes,
     Scale,
+    both,
     fit_errors,
     learned_within,
 )
@@ -75,6 +76,10 @@ class Origin:
     """Method of evaluations that such a model has."""
     source: str = ""
     """Sensor of the labels, if it is another one."""
+    error: AxisError | None = None
+    """Error of the labels' Fz themselves, which models do not see; None: none."""
+    notes: tuple[str, ...] = ()
+    """Sentences about the labels, for the card."""
 
 
 def own_labels(one: Request, csv: Path | None) -> Origin:
@@ -172,7 +177,7 @@ def run_choice(one: Request, origin: Origin, say: Say = print) -> Intervals:
     with ItemProgress(f"training {chosen.name}", sys.stderr) as progress:
         progress(0, 1)
         model = chosen.train(frames[chosen.form], one.seed, frozenset())
-    lines = [*lines_of(choice, labels, calibration.intervals, names)]
+    lines = [*lines_of(choice, labels, calibration.intervals, names), *origin.notes]
     card = {"table": table, "lines": lines, "scale": scale_line(origin.scale)}
     settings = chosen.settings(model, one.seed, frames[chosen.form])
     _write(one, origin, data, chosen, model, settings, rows, calibration, card)
@@ -225,7 +230,7 @@ def _calibrated(
             "as intervals need them"
         )
     intervals = Intervals(
-        axes=axes,
+        axes=(axes[0], axes[1], both(axes[2], origin.error)),
         scale=origin.scale,
         largest=largest(labels.forces),
         learned=_learned(seen, labels.indenter, [fold for fold, _ in choice.by_fold]),

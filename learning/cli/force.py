@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from learning.choice.evidence import LABELS, OWN, SOURCE, TWIN, lines_of_way
+from learning.choice.evidence import BALANCE, LABELS, OWN, SOURCE, TWIN, lines_of_way
 from learning.cli.archive_join import add_tolerances, chosen_sensors, only_sensor, tolerances_of
 from learning.errors import LearningError
 from recorder.command_line.options import (
@@ -50,7 +50,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--by",
         choices=tuple(LABELS),
         help="labels to learn from: its own, forces of its twin, or the source's (the first of "
-        "these that is there); with twin or source its own are not read",
+        "these that is there); or balance with the source, the other finger of a hand, by "
+        "--source-model or by known weights alone; but for own, its own are not read",
     )
     about = "compare these alone, with models of other packages by name (all ways of this one)"
     add("--ways", type=names, metavar="NAME,...", help=about)
@@ -71,6 +72,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     about = "labels of the source, as readings typed in, in place of those of its archive"
     add("--source-labels", type=Path, metavar="CSV", help=about)
+    about = "model of the source's forces, a finger that squeezes the same objects (--by balance)"
+    add("--source-model", metavar="MODEL", help=about)
     about = "assumed force of the sensor over the source's at the same fraction of depth (1)"
     add("--force-ratio", type=positive, metavar="R", help=about)
     add(
@@ -100,7 +103,7 @@ def make_model(options: argparse.Namespace) -> int:
         seed=options.seed,
         device=options.device,
     )
-    by = options.by or best_of(request, options.labels)
+    by = options.by or (BALANCE if options.source_model else best_of(request, options.labels))
     _require_used(options, by)
     sensor = request.sensor
     print("\n".join(lines_of_way(by) if options.explain else [f"{sensor.sensor}: by {LABELS[by]}"]))
@@ -112,6 +115,8 @@ def make_model(options: argparse.Namespace) -> int:
         origin = own_labels(request, options.labels)
     elif by == TWIN:
         origin = twin_labels(request)
+    elif by == BALANCE:
+        request, origin = _by_balance(request, options.source_model)
     else:
         request, origin = _from_source(request, options)
     run_choice(request, origin, lambda line: print(line, flush=True))
@@ -140,11 +145,16 @@ def _require_used(options: argparse.Namespace, by: str) -> None:
     """Reject options that the origin of the labels has no use for."""
     of_source = ("priors", "source_labels", "force_ratio", "scale_within")
     unused = [name for name in of_source if by != SOURCE and getattr(options, name)]
-    if by == TWIN and options.labels is not None:
+    if by in (TWIN, BALANCE) and options.labels is not None:
         unused.append("labels")
+    if by != BALANCE and options.source_model is not None:
+        unused.append("source_model")
     if unused:
         names = ", ".join(f"--{name.replace('_', '-')}" for name in unused)
-        raise LearningError(f"{names}: found with labels by {by}; allowed: --by source")
+        raise LearningError(
+            f"{names}: found with labels by {by}; allowed: --by source, or "
+            "--by balance with --source-model"
+        )
 
 
 def best_of(request: Request, labels: Path | None) -> str:
@@ -170,6 +180,17 @@ def best_of(request: Request, labels: Path | None) -> str:
         "forces; allowed: labels on two indenters or more, --twin TWIN.yaml, or --source of a "
         "sensor with labels"
     )
+
+
+def _by_balance(request: Request, model: str | None) -> tuple[Request, Origin]:
+    """Label by balance with the other finger; return the request without it."""
+    from learning.choice.balance import by_model, by_weights
+
+    if (source := request.source) is None:
+        raise LearningError("--source: missing; allowed: the other finger, X.markers.zarr")
+    one = replace(request, source=None)
+    labelled = by_model(one, source, model, print) if model else by_weights(one, source, print)
+    return one, labelled
 
 
 def _from_source(request: Request, options: argparse.Namespace) -> tuple[Request, Origin]:

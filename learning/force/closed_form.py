@@ -226,13 +226,11 @@ def _solve(model: ClosedFormModel, rows: Floats, labels: Floats, groups: NDArray
         every = np.unique(of)
         for group in every if min(len(every), len(tried)) > 1 else ():
             inside = of == group
-            for number, (weights, offset) in enumerate(
-                _ridge(own[~inside], wanted[~inside], tried)
-            ):
+            for number, (weights, offset) in enumerate(ridge(own[~inside], wanted[~inside], tried)):
                 apart = own[inside] @ weights + offset - wanted[inside]
                 off[number] += np.square(apart).sum(axis=0)
         best = off.argmin(axis=0) if off.any() else np.full(len(axes), len(tried) // 2)
-        solved = _ridge(own, wanted, tried)
+        solved = ridge(own, wanted, tried)
         for column, (axis, number) in enumerate(zip(axes, best, strict=True)):
             weights, offset = solved[number]
             model.weights[:, axis] = torch.from_numpy(weights[:, column].copy())
@@ -241,7 +239,7 @@ def _solve(model: ClosedFormModel, rows: Floats, labels: Floats, groups: NDArray
     return float(np.mean(errors))
 
 
-def _ridge(rows: Floats, wanted: Floats, penalties: Sequence[float]) -> list[tuple[Floats, Floats]]:
+def ridge(rows: Floats, wanted: Floats, penalties: Sequence[float]) -> list[tuple[Floats, Floats]]:
     """Return weights (m, k) and offsets (k,) by each penalty, of features (n, m), labels (n, k)."""
     middle, mean = rows.mean(axis=0), wanted.mean(axis=0)
     inside = rows - middle

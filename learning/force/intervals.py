@@ -71,6 +71,13 @@ class AxisError:
     """By newton of the magnitude of the predicted force."""
 
 
+def both(one: AxisError | None, other: AxisError | None) -> AxisError | None:
+    """Return a line above two independent errors, which add as squares; None without the first."""
+    if one is None or other is None:
+        return one
+    return AxisError(math.hypot(one.base, other.base), math.hypot(one.slope, other.slope))
+
+
 def errors_at(axes: Sequence[AxisError | None], forces: Floats) -> Floats:
     """Return the errors of a model's forces (n, 3) [N]; NaN on axes that are not measured."""
     base, slope = (

@@ -332,15 +332,15 @@ class RecordedSensor:
         wrench[~there] = np.nan
         wrench[:, ~recording.measured()] = np.nan
         wrench[~np.isfinite(wrench)] = np.nan
-        location = np.full(len(target), -1)
+        place, location = recording.places()[rows], np.full(len(target), -1)
         if recording.first_location is not None:
-            location = recording.first_location + recording.places()[rows]
+            location = recording.first_location + place
         reference = self._first_reference[index] + recording.reference[rows]
         return {
             "indenter": np.full(len(target), self._indenters.index(recording.indenter)),
             "seen": np.full(len(target), recording.indenter not in self._unseen),
             "location": location,
-            "target": recording.first_target + target,
+            "target": recording.first_target + place,
             "phase": recording.column("phase")[rows],
             "depth": np.maximum(recording.surface()[rows] - position[:, 2], 0.0),
             "position": position[:, :2],

@@ -196,6 +196,9 @@ def read_recordings(
         raise LearningError(f"{path.name}: found finger {finger}; allowed: {allowed}")
     whole = read_recording(path, sensor or str(fingers[str(finger)]), str(finger))
     of_row = np.asarray(whole.session.targets["object"])[whole.column("target")]
+    # A squeeze is one press: it begins without contact, from where markers are followed.
+    place = whole.places()
+    whole = replace(whole, number=np.arange(len(place)) - np.searchsorted(place, place))
     return [
         replace(
             whole,
