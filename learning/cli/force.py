@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from learning.choice.run import Origin, Request
     from learning.data.matching import SensorSelection
 
+# Folder, within that of the model, of one with the scale of a few labels.
+SCALED = "scaled"
+
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
@@ -121,6 +124,7 @@ def make_model(options: argparse.Namespace) -> int:
         request, origin = _from_source(request, options)
     run_choice(request, origin, lambda line: print(line, flush=True))
     out = options.out
+    shutil.rmtree(out / SCALED, ignore_errors=True)
     if by == SOURCE and options.labels is not None:
         out = _scaled(out, sensor, options.labels)
     print(f"{out}: model, ONNX, intervals; {out / 'card.md'}: card")
@@ -133,9 +137,7 @@ def _scaled(model: Path, sensor: SensorSelection, csv: Path) -> Path:
     from learning.data.labels import read_labels
     from learning.transfer.scale import scaled_by_labels
 
-    out = model / "scaled"
-    if out.exists():
-        shutil.rmtree(out)
+    out = model / SCALED
     labels = read_labels(csv, sensor.archive, sensor.sensor)
     print(scaled_by_labels(model, out, labels, sensor.archived))
     return out
