@@ -57,7 +57,6 @@ class Grip:
             ladder = cache(Ladder.of)(str(rng.choice(NAMES)), sensor(name))
             most = min(10.0, ladder.normal(sensor(name).depth_max))
         self.friction, self.depth = rng.uniform(0.3, 0.9), ladder.deepest(rng.uniform(1.0, most))
-        self._ladder = ladder
         self._press = LadderPress(ladder, self.friction, sensor(name).effects.viscosity)
         self.start = np.array([*rng.uniform(-1.5e-3, 1.5e-3, 2), 0.0])
         self.reach = self.friction * ladder.travel(self.depth)
@@ -94,11 +93,11 @@ class Grip:
             self._move(start + part * (tip - start))
 
     def _move(self, tip: Any) -> None:
-        press, side = self._press, self._ladder.sideways[0]
-        before, aside = press._elastic[0, :2] / side, tip[:2] - press.tip[:2]
+        press = self._press
+        before, aside = press.stuck, tip[:2] - press.tip[:2]
         press.move(tip, 1 / (RATE_HZ * STEPS))
-        if press._elastic[0, 2]:
-            self.slip += float(np.hypot(*(aside - (press._elastic[0, :2] / side - before))))
+        if press.wrench[2]:
+            self.slip += float(np.hypot(*(aside - (press.stuck - before))))
         self._steps += 1
         if self._steps % STEPS == 0:
             points, field, noise = self._view
