@@ -19,6 +19,7 @@ BENCHMARKS = {
     "twin": ("benchmarks.twin.command", "twins of sensors: skins, labels, rows, live forces"),
     # Learning
     "paper": ("benchmarks.paper.command", "the paper's models trained from nothing"),
+    "slip": ("benchmarks.slip", "slips that are noticed, and alarms without slip"),
     "gauge": ("benchmarks.gauge.command", "forces without a gauge, from the weakest way"),
 }
 

@@ -12,7 +12,7 @@ without contact, so the state is reset while nothing touches the sensor (`Contac
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from learning.force.intervals import (
     shapes_of_shading,
 )
 from learning.force.made_for import Conditions, differences, made_for, other_pattern
+from learning.force.slip import SlipWatch
 from learning.force.stream import ForceStream, open_exported
 from learning.markers.displacement import MAP_SIDE, FieldReader
 from learning.markers.frames import one_thread, taxel_masks
@@ -39,6 +40,7 @@ from learning.markers.segment import (
     Preset,
     Segmenter,
     ShadingPreset,
+    TaxelPreset,
     built_preset,
     cells_of,
     change_of,
@@ -67,6 +69,8 @@ class NetworkInput:
     """Forgets earlier frames; the next one shows no contact."""
     reference: NDArray[np.uint8] | None = None
     """Image of the sensor without contact, for a network that takes images."""
+    moved: Callable[[], NDArray[np.float64]] | None = None
+    """Returns the displacement of the markers (m, 2) [px] in the last mask, if they are tracked."""
 
 
 def input_of(network: ForceStream, reference: Mask) -> NetworkInput:
@@ -87,7 +91,7 @@ def input_of(network: ForceStream, reference: Mask) -> NetworkInput:
             f"{MAP_SIDE})"
         )
     fields = TrackedFields(reference)
-    return NetworkInput(fields.of, fields.restart)
+    return NetworkInput(fields.of, fields.restart, moved=lambda: fields.moved)
 
 
 def _image(mask: Mask) -> NDArray[np.uint8]:
@@ -102,6 +106,8 @@ class TrackedFields(FieldReader):
     def of(self, mask: Mask) -> NDArray[np.float32]:
         """Return displacement [px] and growth (3, 32, 32) of the next mask (480, 640)."""
         match = self._matcher.step(mask)
+        self.moved = match.moved
+        """Displacement of the markers (m, 2) [px] in the last mask."""
         values = np.concatenate([match.moved, match.growth[:, None]], axis=1)
         field = (self._map_operator @ values).T.reshape(3, MAP_SIDE, MAP_SIDE)
         return np.ascontiguousarray(field, np.float32)
@@ -187,6 +193,8 @@ START_FRAMES = 10
 # Name in place of a preset's for frames that are masks.
 MASKS = "masks"
 _TAXELS = (16, 3)
+# Least noise of markers [px], and of taxels [counts], above which slip is seen.
+LEAST_NOISE_PX, LEAST_NOISE_COUNTS = 0.01, 1.0
 
 
 Triple = tuple[float, float, float]
@@ -210,6 +218,8 @@ class LiveForce:
     """True if the frame is outside of what the model learned from."""
     before: Triple | None = None
     """Fx, Fy, Fz that the other model predicts [N]; None: there is no other."""
+    slip: str = ""
+    """`gross`, `incipient` or `none` (`learning.force.slip`); empty: slip is not watched."""
 
 
 class LivePredictor:
@@ -242,6 +252,8 @@ class LivePredictor:
         self._contact: ContactDetector
         self._mask_of: MaskOf
         self._inputs: list[NetworkInput] = []
+        self._slips: SlipWatch | None = None
+        self._rest: NDArray[Any] | None = None
 
     @property
     def has_before(self) -> bool:
@@ -265,21 +277,48 @@ class LivePredictor:
         self._inputs = [input_of(each, self._contact.reference) for each in self._networks]
         for network, network_input in zip(self._networks, self._inputs, strict=True):
             network.reset(network_input.reference)
+        self._slips = self._watch_slip(frames, masks)
         self._first.clear()
         if masks.dtype == np.bool_:
             self._seen(count_markers(self._contact.reference))
 
-    def step(self, frame: Frame) -> LiveForce | None:
+    def _watch_slip(self, frames: NDArray[Any], masks: NDArray[Any]) -> SlipWatch | None:
+        """Return a watch of the taxels or markers, by their noise in frames without contact.
+
+        None if the network takes frames in which markers are not tracked.
+        """
+        first = self._inputs[0]
+        taxels = isinstance(self._preset, TaxelPreset)
+        self._rest = np.asarray(frames, np.float64).mean(axis=0) if taxels else None
+        if not taxels and first.moved is None:
+            return None
+        pairs = zip(frames, masks, strict=True)
+        fields = np.array([(first.of(mask), self._field(frame))[1] for frame, mask in pairs])
+        first.restart()
+        noise = float(np.std(fields - fields.mean(axis=0)))
+        return SlipWatch(max(noise, LEAST_NOISE_COUNTS if taxels else LEAST_NOISE_PX))
+
+    def _field(self, frame: Frame) -> NDArray[Any]:
+        """Return counts of taxels less those without contact, or how the markers moved at last."""
+        moved = self._inputs[0].moved
+        return frame - self._rest if self._rest is not None or moved is None else moved()
+
+    def step(self, frame: Frame, t_ns: int | None = None) -> LiveForce | None:
         """Return the force of the next picture (h, w, 3) uint8, RGB, or counts of taxels (16, 3).
 
-        None while the reference is being taken.
+        None while the reference is being taken. Slip is watched if the frame's time is given [ns].
         """
         if not self._inputs:
             self._first.append(np.array(frame))
             if len(self._first) >= self._start_frames:
                 self.begin(np.stack(self._first))
             return None
-        return self._predicted(frame)
+        reading = self._predicted(frame)
+        if t_ns is None or self._slips is None:
+            return reading
+        slip = self._slips.update(t_ns, self._field(frame))
+        seen = "none" if slip is None else "gross" if slip.gross else "incipient"
+        return replace(reading, slip=seen)
 
     def press(self, frames: NDArray[Any], times: int = 1) -> list[LiveForce]:
         """Return the forces of the frames of one press, in order, each shown a number of times.

@@ -7,9 +7,9 @@ import contextlib
 import functools
 import math
 import sys
-import tempfile
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -21,13 +21,12 @@ from recorder.session import Session
 from rig.acquire.control import InterruptFlag
 from rig.cli.options import add_page, bench_options, check_page, chosen_bench, page_lines
 from rig.core.clock import Clock, SystemClock
-from rig.core.errors import ConfigError, DeviceLost
+from rig.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from rig.bench.bench import Bench
-    from rig.monitor.forces_page import ForcesPage
-    from rig.monitor.predictor import LiveForce
-    from rig.monitor.watched import Triple, Watched
+    from rig.monitor.forces_page import ForcesJob, ForcesPage
+    from rig.monitor.watched import Watched
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,9 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model",
         required=True,
+        action="append",
         metavar="MODEL",
         help="folder of a trained force model, its web address, demo, or the name of one that an "
-        "installed package offers",
+        "installed package offers; for several sensors side by side NAME=MODEL for each, and "
+        "--sensor, --bench or --session as NAME=..., or one whose streams have these names",
     )
     parser.add_argument(
         "--before",
@@ -74,81 +75,101 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="CSV",
         help="write every force to this new file, with intervals, those of --before and the "
-        "gauge's or true forces where there are any",
+        "gauge's or true forces where there are any; of several sensors to CSV-NAME each",
     )
-    add_page(parser, "--page", "serve a page of the last 20 s")
+    add_page(parser, "--page", "serve a page of the last 20 s, and forces for programs (/forces)")
 
 
 def run(options: argparse.Namespace) -> int:
     """Predict, print and summarise; return the exit code."""
-    from rig.monitor.forces import ForceLine, Summary, add_gauge, watch
-    from rig.monitor.predictor import made_for, open_predictor
+    from rig.monitor.forces import ForceLine
+    from rig.monitor.forces_page import ForcesJob
+    from rig.monitor.predictor import made_for
+    from rig.monitor.side_by_side import SensorJob, SideBySide
 
-    _check(options)
-    clock = SystemClock()
-    lost: DeviceLost | None = None
+    jobs, shown = [], {}
+    for name, one in _sensors(options).items():
+        _check(one)
+        source, made = _source(one), made_for(one.model)
+        predictor = {
+            "model": one.model,
+            "sensor": source.sensor,
+            "signal": source.signal,
+            "description": source.description,
+            "depth": source.depth,
+            "before": one.before,
+            "runtime": one.runtime,
+            "preset_name": one.preset,
+        }
+        jobs.append(SensorJob(name, source.open, predictor, options.seconds, one.out))
+        shown[name] = ForcesJob(source.sensor, source.kind, made, name=name)
+        text = f"{source.kind} ({source.name}): no arm moves; model {made}"
+        print(named(name, text), flush=True)
+
+    def warn(name: str, text: str) -> None:
+        shown[name] = replace(shown[name], warnings=(*shown[name].warnings, text))
+        print(f"WARNING: {named(name, text)}", file=sys.stderr, flush=True)
+
     with contextlib.ExitStack() as stack:
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
         stop = stack.enter_context(InterruptFlag())
-        source = _source(options)
-        made, warnings = made_for(options.model), list[str]()
-
-        def warn(text: str) -> None:
-            warnings.append(text)
-            print(f"WARNING: {text}", file=sys.stderr, flush=True)
-
-        # Load the model first: an emulator would be late if it had to wait for it.
-        predictor = open_predictor(
-            options.model,
-            sensor=source.sensor,
-            signal=source.signal,
-            description=source.description,
-            depth=source.depth,
-            before=options.before,
-            runtime=options.runtime,
-            preset_name=options.preset,
-            warn=warn,
-        )
-        page = _opened_page(options, source, stack, made, warnings)
-        print(f"{source.kind} ({source.name}): no arm moves; model {made}", flush=True)
-        watched = stack.enter_context(source.open(folder, clock))
-        line = ForceLine(clock, sys.stdout)
-        summary = Summary()
-
-        def show(reading: LiveForce, t_ns: int, latency: float, gauge: Triple | None) -> None:
-            line(reading, latency)
+        line, stopping = ForceLine(SystemClock(), sys.stdout), False
+        sensors = stack.enter_context(SideBySide(jobs, warn))
+        page = _opened_page(options, list(shown.values()), stack)
+        sensors.begin()
+        while not sensors.over:
+            if stop.requested and not stopping:
+                sensors.stop()
+                stopping = True
+            for name, reading, t_ns, latency, gauge in sensors.news(0.1):
+                line(reading, latency, name)
+                if page is not None:
+                    page.add(reading, t_ns, latency, gauge, name)
+        line.close()
+        for name, end in sensors.ends.items():
+            print("\n".join(named(name, text) for text in end.lines), flush=True)
             if page is not None:
-                page.add(reading, t_ns, latency, gauge)
+                page.finish(end.true, name)
+    lost = {name: end.lost for name, end in sensors.ends.items() if end.lost}
+    for name, text in lost.items():
+        print(f"device lost: {named(name, text)}", file=sys.stderr)
+    return EXIT_DEVICE_LOST if lost else EXIT_DONE
 
-        try:
-            watch(
-                watched,
-                predictor,
-                clock,
-                summary=summary,
-                show=show,
-                is_over=lambda: stop.requested,
-                seconds=options.seconds,
-                out=options.out,
+
+# Options that each of several sensors has.
+_OWN = ("model", "sensor", "bench", "session")
+
+
+def _sensors(options: argparse.Namespace) -> dict[str, argparse.Namespace]:
+    """Return the options of each sensor, by its name; that of a single one may be empty."""
+    given = {key: _by_name(key, getattr(options, key) or []) for key in _OWN}
+    names = given["model"]
+    sensors = {name: argparse.Namespace(**vars(options), stream="") for name in names}
+    for key, values in given.items():
+        if values and "" not in values and set(values) != set(names):
+            raise ConfigError(
+                f"--{key}: found {', '.join(values)}=...; allowed: the names of --model "
+                f"({', '.join(names) or 'it has none'})"
             )
-        except DeviceLost as error:
-            lost = error
-        finally:
-            line.close()
-        wrench = None
-        if watched.wrench is not None and summary.frames:
-            wrench = watched.wrench(np.array(summary.shows_ns, np.int64))
-        print("\n".join(summary.lines(wrench)), flush=True)
-        if page is not None:
-            page.finish(watched.wrench)
-        if options.out is not None:
-            if wrench is not None and np.isfinite(wrench[:, :3]).any():
-                add_gauge(options.out, wrench)
-            print(f"{options.out}: {summary.frames:,} forces")
-    if lost is not None:
-        print(f"device lost: {lost}", file=sys.stderr)
-        return EXIT_DEVICE_LOST
-    return EXIT_DONE
+        for name, one in sensors.items():
+            value = values.get(name, values.get(""))
+            path = key in ("bench", "session") and value is not None
+            setattr(one, key, Path(value or "") if path else value)
+            one.stream = name if "" in values else one.stream
+            if name and options.out is not None:
+                one.out = options.out.with_stem(f"{options.out.stem}-{name}")
+    return sensors
+
+
+def _by_name(option: str, values: list[str]) -> dict[str, str]:
+    """Return values by their names NAME=VALUE; the name of a single one may be missing."""
+    by_name: dict[str, str] = {}
+    for value in values:
+        name, sign, text = value.partition("=")
+        name, text = (name, text) if sign and name.isidentifier() else ("", value)
+        if name in by_name or (len(values) > 1 and not name):
+            raise ConfigError(f"--{option}: found {value}; allowed: NAME={text}, each name once")
+        by_name[name] = text
+    return by_name
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -169,7 +190,7 @@ class _Source(NamedTuple):
     name: Path
     """The session, or the bench file."""
     open: Callable[[Path, Clock], AbstractContextManager[Watched]]
-    """Opens it, with a folder for the files of a mock bench."""
+    """Opens it, with a folder for the files of a mock bench; it can be sent to a process."""
     signal: str
     """Kind of the stream that is read."""
     description: str = ""
@@ -180,9 +201,14 @@ class _Source(NamedTuple):
 def _source(options: argparse.Namespace) -> _Source:
     from rig.monitor import watched
 
-    session = options.session
+    session, stream = options.session, options.stream
     file = None if session is not None else chosen_bench(options)
     if file is not None and file.bench.mock:
+        if stream:
+            raise ConfigError(
+                f"{file.path}: a mock bench, which presses one sensor; allowed beside others: "
+                f"--sensor {stream}=..., a bench each"
+            )
         file = file.with_indenter(options.indenter or "")
         mock = functools.partial(watched.mock_bench, file, rate_hz=options.rate_hz)
         return _Source(file.bench.sensor, "MOCK BENCH", file.path, mock, *_presses(file.bench))
@@ -192,18 +218,34 @@ def _source(options: argparse.Namespace) -> _Source:
             raise ConfigError(f"--{option.replace('_', '-')}: {name} is no mock bench")
     if file is None:
         recorded = Session(session)
-        sensor, stream = str(recorded.attrs.get("sensor", "")), recorded.signal
-        signal = recorded.streams[stream].traits.kind if stream else ""
+        signal = watched.signal_of(recorded, stream)
         depth = float(np.max(recorded.targets.get("depth", np.nan), initial=-np.inf))
-        replayed = functools.partial(watched.replayed, session)
         return _Source(
-            sensor, "REPLAY", name, lambda _, clock: replayed(clock), signal, depth=depth
+            watched.sensor_of(recorded, signal),
+            "REPLAY",
+            name,
+            functools.partial(_replayed, session, stream),
+            recorded.streams[signal].traits.kind,
+            depth=depth,
         )
-    bench, say = file.bench, functools.partial(print, flush=True)
-    open_lab = functools.partial(watched.lab_bench, bench, say=say)
-    return _Source(
-        bench.sensor, "LAB BENCH", name, lambda _, clock: open_lab(clock), *_presses(bench)
-    )
+    open_lab = functools.partial(_opened_lab, file.bench, stream)
+    signal, description, depth = _presses(file.bench)
+    signal = file.bench.row(stream).kind if stream else signal
+    return _Source(file.bench.sensor, "LAB BENCH", name, open_lab, signal, description, depth)
+
+
+def _replayed(session: Path, stream: str, _: Path, clock: Clock) -> AbstractContextManager[Watched]:
+    from rig.monitor.watched import replayed
+
+    return replayed(session, clock, stream)
+
+
+def _opened_lab(
+    bench: Bench, stream: str, _: Path, clock: Clock
+) -> AbstractContextManager[Watched]:
+    from rig.monitor.watched import lab_bench
+
+    return lab_bench(bench, clock, stream, say=functools.partial(print, flush=True))
 
 
 def _presses(bench: Bench) -> tuple[str, str, float]:
@@ -212,20 +254,20 @@ def _presses(bench: Bench) -> tuple[str, str, float]:
     return "" if bench.signal is None else bench.signal.kind, bench.description, depth
 
 
+def named(name: str, text: str) -> str:
+    """Return a text about a sensor, after its name."""
+    return f"{name}: {text}" if name else text
+
+
 def _opened_page(
-    options: argparse.Namespace,
-    source: _Source,
-    stack: contextlib.ExitStack,
-    made: str,
-    warnings: list[str],
+    options: argparse.Namespace, jobs: list[ForcesJob], stack: contextlib.ExitStack
 ) -> ForcesPage | None:
     """Serve the page of --page until the end of the stack, and print its address."""
     if options.page is None:
         return None
-    from rig.monitor.forces_page import ForcesJob, ForcesPage
+    from rig.monitor.forces_page import ForcesPage
     from rig.monitor.lab import Folders
 
-    job = ForcesJob(source.sensor, source.kind, made, tuple(warnings))
-    page = stack.enter_context(ForcesPage(options.page, Folders(Path("sessions")), job))
+    page = stack.enter_context(ForcesPage(options.page, Folders(Path("sessions")), jobs))
     print("\n".join(page_lines(options.page, page.urls, "see the forces")), flush=True)
     return page

@@ -50,22 +50,19 @@ def bench_options(
     """Add --sensor, --bench and those of a mock bench, whose group is returned.
 
     `mock` adds --world, and --force unless the command needs a `gauge`; `sources` the options for
-    real recordings that a mock bench plays; `session` --session, in place of a bench.
+    real recordings that a mock bench plays; `session` --session, in place of a bench, and several
+    of each.
     """
     bench = parser.add_argument_group("bench")
     chosen = bench.add_mutually_exclusive_group()
-    chosen.add_argument(
-        "--sensor",
-        metavar="NAME",
-        help="name of a bench file, searched in benches/lab/, benches/ and the package",
-    )
-    chosen.add_argument(
-        "--bench", type=Path, metavar="FILE", help="path of a bench file, or its name"
-    )
+    action, kind = ("append", str) if session else ("store", Path)
+    name = "name of a bench file, searched in benches/lab/, benches/ and the package"
+    chosen.add_argument("--sensor", action=action, metavar="NAME", help=name)
+    path = "path of a bench file, or its name"
+    chosen.add_argument("--bench", type=kind, action=action, metavar="FILE", help=path)
     if session:
-        chosen.add_argument(
-            "--session", type=Path, metavar="PATH", help="read this session in place of a bench"
-        )
+        help_ = "read this session in place of a bench"
+        chosen.add_argument("--session", action=action, metavar="PATH", help=help_)
     group = parser.add_argument_group("mock bench only")
     if mock:
         group.add_argument(

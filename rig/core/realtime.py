@@ -18,6 +18,8 @@ DEVICE_PRIORITY = 60
 CAMERA_PRIORITY = 40
 # Solver of a simulated World: busier than the camera; running late only costs accuracy.
 SOLVER_PRIORITY = 30
+# Live forces of a sensor: below all that is recorded.
+LIVE_PRIORITY = 20
 _PR_SET_TIMERSLACK = 29
 _TIMER_SLACK_NS = 1
 

@@ -151,8 +151,8 @@ def _query_token(path: str) -> str:
 # Files of the page, and the headers that protect them from other sites.
 
 
-# Path of the WebSocket.
-LIVE = "/live"
+# Path of the page's WebSocket, and of that of a program that receives forces.
+LIVE, FORCES = "/live", "/forces"
 
 _TYPES = {
     ".css": "text/css; charset=utf-8",
@@ -194,11 +194,12 @@ class Site:
             return text_of(http.HTTPStatus.BAD_REQUEST, "This is not a valid address.\n")
         if path == LIVE:
             return self._refuse_live(request, host, cookies, full=full)
-        if not self._access.may_open(request.path, cookies):
-            return text_of(
-                http.HTTPStatus.FORBIDDEN,
-                "This page requires the token in the address that the command printed.\n",
-            )
+        origins = request.headers.get_all("Origin")
+        if path == FORCES and origins in ([], [f"http://{host}"]):
+            # A program has no origin; the page of another site has.
+            return self._refuse(request, cookies) or _refuse_more(full=full)
+        if refusal := self._refuse(request, cookies):
+            return refusal
         if path not in self._files:
             return text_of(http.HTTPStatus.NOT_FOUND, "There is no such page.\n")
         body, kind = self._files[path]
@@ -208,6 +209,12 @@ class Site:
             headers["Set-Cookie"] = f"{grant}; Path=/; HttpOnly; SameSite=Strict"
         return Response(http.HTTPStatus.OK, "OK", headers, body)
 
+    def _refuse(self, request: Request, cookies: str | None) -> Response | None:
+        if self._access.may_open(request.path, cookies):
+            return None
+        text = "This page requires the token in the address that the command printed.\n"
+        return text_of(http.HTTPStatus.FORBIDDEN, text)
+
     def _refuse_live(
         self, request: Request, host: str | None, cookies: str | None, *, full: bool
     ) -> Response | None:
@@ -215,9 +222,13 @@ class Site:
             return text_of(http.HTTPStatus.FORBIDDEN, "Another site's page may not watch.\n")
         if not self._access.has_cookie(cookies):
             return text_of(http.HTTPStatus.FORBIDDEN, "Open the page first; it brings the token.\n")
-        if full:
-            return text_of(http.HTTPStatus.SERVICE_UNAVAILABLE, "Enough people are watching.\n")
-        return None
+        return _refuse_more(full=full)
+
+
+def _refuse_more(*, full: bool) -> Response | None:
+    if full:
+        return text_of(http.HTTPStatus.SERVICE_UNAVAILABLE, "Enough people are watching.\n")
+    return None
 
 
 def single_header(headers: Headers, name: str) -> str | None:

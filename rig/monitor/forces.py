@@ -128,8 +128,9 @@ def watch(
                     break
                 continue
             newest = samples[-1]
+            t_ns, shows_ns = int(newest["t_ns"]), watched.shows_ns(newest)
             try:
-                reading = predictor.step(_frame(newest))
+                reading = predictor.step(_frame(newest), shows_ns)
             except SessionError:
                 summary.lost += 1
                 continue
@@ -139,7 +140,6 @@ def watch(
                 watched.begin()
             else:
                 summary.skipped += len(samples) - 1
-            t_ns, shows_ns = int(newest["t_ns"]), watched.shows_ns(newest)
             latency = summary.add(reading, t_ns, clock.now_ns(), shows_ns)
             record(t_ns, latency, reading)
             show(reading, shows_ns, latency, watched.gauge())
@@ -213,19 +213,26 @@ class ForceLine:
     def __init__(self, clock: Clock, out: TextIO) -> None:
         write = partial(print, file=out, flush=True)
         self._line = PacedLine(out, SECOND_NS // 10, SECOND_NS, write)
+        self._newest: dict[str, tuple[LiveForce, float]] = {}
         self.close = self._line.end
         self._clock = clock
 
-    def __call__(self, reading: LiveForce, latency: float) -> None:
-        """Show a force and its latency [s], if the line is due."""
-        if not self._line.is_due(self._clock.now_ns()):
-            return
-        text = f"{_text(reading.force, reading.interval)} N"
+    def __call__(self, reading: LiveForce, latency: float, name: str = "") -> None:
+        """Show a force and its latency [s], if the line is due; then those of other sensors."""
+        self._newest[name] = reading, latency
+        if self._line.is_due(self._clock.now_ns()):
+            self._line.show(*(part for one in sorted(self._newest) for part in self._parts(one)))
+
+    def _parts(self, name: str) -> tuple[str, ...]:
+        reading, latency = self._newest[name]
+        # Beside another sensor there is no space for intervals.
+        text = f"{_text(reading.force, None if name else reading.interval)} N"
         if reading.before is not None:
             text = f"before {_text(reading.before)}  after {text}"
         outside = "OUTSIDE" if reading.outside else ""
         contact = "contact" if reading.contact else " " * 7
-        self._line.show(text, outside, contact, f"{1e3 * latency:5.1f} ms")
+        contact = "SLIPS  " if reading.slip == "gross" else contact
+        return f"{name} {text}".strip(), outside, contact, f"{1e3 * latency:5.1f} ms"
 
 
 def _text(force: Triple, interval: tuple[Triple, Triple] | None = None) -> str:

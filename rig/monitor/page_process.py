@@ -1,7 +1,7 @@
 """The page of a running command: a process of its own, fed by a thread.
 
 What the command does never waits for the page. It leaves values that the thread reads five times
-per second; if the page's process hangs or dies, only that thread is affected.
+per second, or once it is woken; if the page's process hangs or dies, only that thread is affected.
 """
 
 import asyncio
@@ -10,7 +10,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from rig.core.clock import Clock, SystemClock
@@ -47,6 +47,7 @@ class PageProcess:
         """Port of the server, once started."""
         context = multiprocessing.get_context("spawn")
         self._pipe, self._far_end = context.Pipe()
+        self._woken = os.eventfd(0)
         arguments = (access, folders, view, job, self._far_end)
         self._process = context.Process(target=run_page, args=arguments, name="page")
         self._thread = threading.Thread(target=self._exchange, name="page", daemon=True)
@@ -65,6 +66,10 @@ class PageProcess:
     def urls(self) -> list[str]:
         """Addresses to open, see `urls_of`. Printed, never logged."""
         return urls_of(self._access, self.port)
+
+    def wake(self) -> None:
+        """Let the thread send the next message at once."""
+        os.eventfd_write(self._woken, 1)
 
     def start(self) -> None:
         """Start the process, and wait until it serves the page."""
@@ -104,7 +109,10 @@ class PageProcess:
         try:
             while not self._ending.is_set():
                 self._pipe.send(self.message())
-                if self._pipe.poll(_PERIOD):
+                ready = wait([self._pipe, self._woken], _PERIOD)
+                if self._woken in ready:
+                    os.eventfd_read(self._woken)
+                if self._pipe in ready:
                     self.obey(self._pipe.recv())
             self._pipe.send(self.message())
         except (EOFError, OSError):

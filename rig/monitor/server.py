@@ -29,7 +29,7 @@ from websockets.http11 import Request, Response
 from recorder.errors import SessionError
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError
-from rig.monitor.access import AccessPolicy, Site, headers_of, single_header, text_of
+from rig.monitor.access import FORCES, AccessPolicy, Site, headers_of, single_header, text_of
 from rig.monitor.lab import Folders, Lab
 
 Item = TypeVar("Item")
@@ -75,6 +75,10 @@ class LiveView:
     def news(self, sent: Counter[str], clients: Mapping[str, int]) -> list[dict[str, Any] | bytes]:
         """Return state and pictures for a client, noted in `sent`, with the counts of clients."""
         raise NotImplementedError
+
+    def stream(self, sent: Counter[str]) -> list[dict[str, Any]]:
+        """Return the forces that a program does not have, noted in `sent`."""
+        return []
 
     def receive(self, message: Any) -> None:
         """Receive what the command has sent."""
@@ -154,6 +158,7 @@ class PageServer:
         self._most = MAX_READERS if view is None else MAX_WATCHERS
         self._refused = 0
         self._ended = asyncio.Event()
+        self._news = asyncio.Event()
 
     async def run(self, ready: Callable[[int], None]) -> None:
         """Serve until a signal, or until the command has ended and all clients know it.
@@ -218,6 +223,9 @@ class PageServer:
             view.lose()
         if view.ended:
             self._ended.set()
+        # Each event is awaited by all who serve a program, and set once.
+        self._news.set()
+        self._news = asyncio.Event()
 
     async def _sample(self) -> None:
         while self._view is not None:
@@ -255,8 +263,9 @@ class PageServer:
         raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
         raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         listening = asyncio.create_task(self._listen_to(client))
+        path = "" if client.request is None else urlsplit(client.request.path).path
         try:
-            await self._show(client, listening)
+            await self._show(client, listening, program=path == FORCES)
         except ConnectionClosed:
             pass
         except TimeoutError:
@@ -266,21 +275,29 @@ class PageServer:
             self._clients.discard(client)
             listening.cancel()
 
-    async def _show(self, client: ServerConnection, listening: asyncio.Task[str]) -> None:
+    async def _show(
+        self, client: ServerConnection, listening: asyncio.Task[str], *, program: bool
+    ) -> None:
+        """Send a page the state at intervals, or a program each force as soon as it is there."""
         view, sent = self._view, Counter[str]()
         hello = {"live": None} if view is None else view.hello()
-        await self._send(client, {"kind": "hello", "lab": self._lab is not None, **hello})
+        if not program:
+            await self._send(client, {"kind": "hello", "lab": self._lab is not None, **hello})
+        elif view is not None:
+            view.stream(sent)
         while not listening.done():
-            ended = self._ended.is_set()
+            ended, news = self._ended.is_set(), asyncio.ensure_future(self._news.wait())
             if view is not None:
                 clients = {"watchers": len(self._clients), "refused": self._refused}
-                for message in view.news(sent, clients):
+                for message in view.stream(sent) if program else view.news(sent, clients):
                     await self._send(client, message)
             if ended:
                 await client.close(1001, "the command ended")
                 return
             period = STATE_PERIOD if view is not None else None
-            await asyncio.wait({listening}, timeout=period)
+            until = {listening, news} if program else {listening}
+            await asyncio.wait(until, timeout=period, return_when=asyncio.FIRST_COMPLETED)
+            news.cancel()
         if reason := listening.result():
             await client.close(1008, reason)
 

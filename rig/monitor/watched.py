@@ -23,6 +23,8 @@ Times = np.ndarray
 _RUN = 0
 # Frames before the session's first reference that are without contact.
 _UNTOUCHED = 10
+# Kinds of streams that can be watched.
+SIGNALS = ("camera", "taxels")
 # Most samples of a gauge that are kept: 16 minutes at 1 kHz.
 _MOST = 1_000_000
 
@@ -50,6 +52,8 @@ class Watched:
     """Open driver."""
     no_contact: np.ndarray | None = None
     """Frames known to be without contact; None: the first to arrive must be."""
+    start: Callable[[int], None] = lambda start_ns: None
+    """Sets when a recorded session is played from [ns], by default from the first `read`."""
     begin: Callable[[], None] = lambda: None
     """Starts the presses of a mock bench; called after the frames without contact."""
     over: Callable[[], bool] = lambda: False
@@ -103,16 +107,17 @@ class GaugeBeside:
 
 @contextlib.contextmanager
 def lab_bench(
-    bench: Bench, clock: Clock, *, say: Callable[[str], None] | None = None
+    bench: Bench, clock: Clock, stream: str = "", *, say: Callable[[str], None] | None = None
 ) -> Iterator[Watched]:
-    """Open the sensor of a lab bench. Nothing moves: no connection is made to the arm.
+    """Open a sensor of a lab bench, by its stream; without a name, the one with the role signal.
 
-    With `say`, which is called with a line about it, the bench's gauge is opened too.
+    Nothing moves: no connection is made to the arm. With `say`, which is called with a line about
+    it, the bench's gauge is opened too.
     """
-    if bench.signal is None:
-        raise ConfigError(f"{bench.sensor}: no camera and no taxels to watch")
-    stream = bench.signal.name
-    driver = bench.signal.driver(clock)
+    row = bench.row(stream) if stream else bench.signal
+    if row is None or row.kind not in SIGNALS:
+        raise ConfigError(f"{stream or bench.sensor}: no camera and no taxels to watch")
+    stream, driver = row.name, row.driver(clock)
     driver.open(bench.preflight.timeout)
     with contextlib.ExitStack() as stack:
         stack.callback(driver.close)
@@ -157,15 +162,14 @@ class RecordedSignal:
 
     dropped = 0
 
-    def __init__(self, path: Path, clock: Clock) -> None:
+    def __init__(self, path: Path, clock: Clock, name: str = "") -> None:
+        """Read a stream of the session; without a name, the one with the role signal."""
         self._session = session = Session(path)
         self._clock = clock
-        name = session.signal
-        if name is None or session.streams[name].traits.kind not in ("camera", "taxels"):
-            raise SessionError(f"{path}: has neither camera nor taxels")
+        name = signal_of(session, name)
         self.name = name
         """Name of its stream."""
-        self.sensor = str(session.attrs.get("sensor", ""))
+        self.sensor = sensor_of(session, name)
         """Name of the sensor in the session."""
         self._stream = session.streams[name]
         rows = session.rows_of_run(name, _RUN)
@@ -173,9 +177,17 @@ class RecordedSignal:
         self._recorded_ns = self._stream.t_ns[rows]
         if self._first == last:
             raise SessionError(f"{path}: no {name} rows in its first run")
+        # All signals of a session start together.
+        runs = ((one, session.rows_of_run(one, _RUN)) for one in signals_of(session))
+        firsts = (session.streams[one].t_ns[rows][:1] for one, rows in runs)
+        self._start_ns = int(np.concatenate(list(firsts)).min())
         self._played = 0
         # Difference between the times of playing and recording [ns]; unknown before the first read.
         self._later_ns: int | None = None
+
+    def start(self, start_ns: int) -> None:
+        """Set the time at which the session's first row of all signals is played [ns]."""
+        self._later_ns = start_ns - self._start_ns
 
     def over(self) -> bool:
         """Return True if the last row was read."""
@@ -185,18 +197,19 @@ class RecordedSignal:
         """Return the samples that have come since, or wait for the next one for a time [s]."""
         now_ns = self._clock.now_ns()
         if self._later_ns is None:
-            self._later_ns = now_ns - int(self._recorded_ns[0])
+            self.start(now_ns)
+        later_ns = self._later_ns or 0
         if self.over():
             return []
-        due_ns = int(self._recorded_ns[self._played]) + self._later_ns
+        due_ns = int(self._recorded_ns[self._played]) + later_ns
         self._clock.sleep_until(min(due_ns, now_ns + round(timeout * SECOND_NS)))
-        until_ns = self._clock.now_ns() - self._later_ns
+        until_ns = self._clock.now_ns() - later_ns
         first, self._played = (
             self._played,
             int(np.searchsorted(self._recorded_ns, until_ns, "right")),
         )
         return [
-            {"value": self._value(k), "t_ns": int(self._recorded_ns[k]) + self._later_ns}
+            {"value": self._value(k), "t_ns": int(self._recorded_ns[k]) + later_ns}
             for k in range(first, self._played)
         ]
 
@@ -234,12 +247,34 @@ class RecordedSignal:
         return linear(force.t_ns[rows], value, recorded_ns).value
 
 
+def signals_of(session: Session) -> list[str]:
+    """Return the streams of a session that can be watched."""
+    return [name for kind in SIGNALS for name in session.of_kind(kind)]
+
+
+def signal_of(session: Session, name: str = "") -> str:
+    """Return a stream that can be watched; without a name, the one with the role signal."""
+    allowed = signals_of(session)
+    if (name or session.signal) not in allowed:
+        raise SessionError(
+            f"{session.path}: has neither camera nor taxels"
+            + (f" named {name}; allowed: {', '.join(allowed)}" if name and allowed else "")
+        )
+    return name or str(session.signal)
+
+
+def sensor_of(session: Session, name: str) -> str:
+    """Return the name of the sensor of a stream: that of a finger, or the session's."""
+    fingers = session.setting("bench").get("fingers") or {}
+    return str((fingers.get(name) or {}).get("sensor") or session.attrs.get("sensor", ""))
+
+
 @contextlib.contextmanager
-def replayed(path: Path, clock: Clock) -> Iterator[Watched]:
-    """Open the sensor of a recorded session, played at the recorded times."""
-    signal = RecordedSignal(path, clock)
-    no_contact, over, wrench = signal.no_contact(), signal.over, signal.wrench
-    yield Watched(signal.sensor, signal.name, signal, no_contact, over=over, wrench=wrench)
+def replayed(path: Path, clock: Clock, name: str = "") -> Iterator[Watched]:
+    """Open a sensor of a recorded session, as `RecordedSignal`."""
+    signal = RecordedSignal(path, clock, name)
+    more: dict[str, Any] = {"start": signal.start, "over": signal.over, "wrench": signal.wrench}
+    yield Watched(signal.sensor, signal.name, signal, signal.no_contact(), **more)
 
 
 def _stamped(sample: dict[str, Any]) -> int:

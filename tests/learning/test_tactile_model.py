@@ -233,7 +233,7 @@ def test_scripts_of_a_network_of_one_s_own_and_of_tables(
     pytest.importorskip("pandas", reason="pandas is not installed: extra tables")
     pytest.importorskip("xarray", reason="xarray is not installed: extra tables")
     monkeypatch.chdir(lab)
-    own, tables = run_scripts(3, 4)
+    own, tables = run_scripts(3, 5)
     steps = [int(state["step"]) for state in own["optimiser"].state.values()]
     assert steps == [len(own["windows"].batches(16))] * 2
     least = tables["session"].frames["wrench"][:, 2].min()

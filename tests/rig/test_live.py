@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import csv
+import functools
 import io
 import json
 import signal
@@ -21,6 +22,8 @@ from support.sessions import make_session
 from support.waiting import until
 from support.watching import next_state
 from support.watching import watch as connected
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
 
 from benchmarks.fake_clock import FakeClock
 from learning.force.live import LiveForce, LivePredictor
@@ -35,6 +38,7 @@ from rig.monitor.access import AccessPolicy
 from rig.monitor.forces import ForceLine, Summary, add_gauge, watch
 from rig.monitor.forces_page import ForcesJob, ForcesPage
 from rig.monitor.lab import Folders
+from rig.monitor.side_by_side import SensorJob, SideBySide
 from rig.monitor.watched import GaugeBeside, Watched, mock_bench, replayed
 
 pytestmark = pytest.mark.slow
@@ -65,7 +69,7 @@ class Stub(LivePredictor):
     def begin(self, frames: Any) -> None:
         self.no_contact += list(frames)
 
-    def step(self, frame: Any) -> LiveForce | None:
+    def step(self, frame: Any, t_ns: int | None = None) -> LiveForce | None:
         self.seen.append(frame)
         if self.clock is not None:
             self.clock.advance(WORK_NS / SECOND_NS)
@@ -150,7 +154,7 @@ def test_forces_before_and_after_stand_beside_the_gauge_in_a_table_and_on_a_page
     out, summary, printed = tmp_path / "forces.csv", Summary(), io.StringIO()
     line, access = ForceLine(clock, printed), AccessPolicy(port=0)
     folders = Folders(tmp_path / "none", BENCHES)
-    with ForcesPage(access, folders, ForcesJob("uskin", "REPLAY")) as page:
+    with ForcesPage(access, folders, [ForcesJob("uskin", "REPLAY")]) as page:
 
         def show(force: LiveForce, t_ns: int, latency: float, beside: Any) -> None:
             line(force, latency)
@@ -167,18 +171,19 @@ def test_forces_before_and_after_stand_beside_the_gauge_in_a_table_and_on_a_page
             while len(points) < 3:
                 state = next_state(client)
                 assert state["status"] == "watching"
-                points += state["points"]
-            _, force, low, high, before, beside, latency, contact, outside = points[-1]
+                points += state["points"][0]
+            _, force, low, high, before, beside, latency, contact, outside, _ = points[-1]
             assert (force, before) == ([0.0, 0.5, -4.0], [0.0, 0.5, -8.0])
             assert (low, high) == ([-1.0, -0.5, -5.0], [1.0, 1.5, -3.0])
             assert (beside, latency, contact, outside) == ([-2.0, -2.0, -2.0], 5.0, True, True)
-            page.finish(lambda t_ns: np.full((len(t_ns), 6), -9.0))
+            page.finish(dict.fromkeys(summary.shows_ns, [-9.0] * 3))
             page.close()
             while (state := next_state(client))["status"] == "watching":
                 pass
             # The last forces replace all others: the true ones are known at the end only.
-            assert [point[1] for point in state["points"]] == [point[1] for point in points]
-            assert [point[5] for point in state["points"]] == [[-9.0] * 3] * 3
+            (last,) = state["points"]
+            assert [point[1] for point in last] == [point[1] for point in points]
+            assert [point[5] for point in last] == [[-9.0] * 3] * 3
     assert "before Fx  +0.00  Fy  +0.50  Fz   -2.00  after Fx  +0.00 +-1.00" in printed.getvalue()
     add_gauge(out, gauge.wrench(np.array(summary.shows_ns)))
     with out.open() as opened:
@@ -311,10 +316,14 @@ def test_pixels_can_be_watched_and_a_session_without_a_signal_cannot(tmp_path: P
         pass
 
 
-def live_options(*words: str) -> argparse.Namespace:
+def live_options(*words: str, model: str = "demo") -> argparse.Namespace:
     parser = Parser()
     live.add_arguments(parser)
-    return parser.parse_args(["--model", "demo", *words])
+    return parser.parse_args(["--model", model, *words])
+
+
+def source(*words: str) -> Any:
+    return live._source(live._sensors(live_options(*words))[""])
 
 
 def test_the_finger_of_a_mock_bench_has_the_named_indenter(
@@ -327,7 +336,7 @@ def test_the_finger_of_a_mock_bench_has_the_named_indenter(
 
     monkeypatch.setattr("rig.monitor.watched.mock_bench", mock)
     for words in ((), ("--indenter", "cone")):
-        live._source(live_options("--sensor", "gelsight", *words)).open(tmp_path, SystemClock())
+        source("--sensor", "gelsight", *words).open(tmp_path, SystemClock())
     assert opened == [BenchFile.read(BENCHES / "gelsight.yaml").bench.indenter, "cone"]
 
 
@@ -336,12 +345,104 @@ def test_the_page_of_live_is_served_at_the_address_that_is_printed(
 ) -> None:
     options = live_options("--sensor", "uskin", "--page", "0")
     with contextlib.ExitStack() as stack:
-        page = live._opened_page(options, live._source(options), stack, "m", [])
+        page = live._opened_page(options, [ForcesJob("uskin", "MOCK BENCH")], stack)
         assert page is not None
         address = capsys.readouterr().out.removeprefix("watch it at ").strip()
         assert address == f"http://127.0.0.1:{page.port}/"
         with urllib.request.urlopen(address, timeout=240) as answer:
             assert answer.status == 200
+
+
+def test_sensors_have_names_and_options_of_their_own(tmp_path: Path) -> None:
+    words = ("--model", "right=b", "--session", str(tmp_path / "s.zarr"), "--out", "f.csv")
+    both = live._sensors(live_options(*words, model="left=a"))
+    assert {name: (one.model, one.stream, str(one.out)) for name, one in both.items()} == {
+        "left": ("a", "left", "f-left.csv"),
+        "right": ("b", "right", "f-right.csv"),
+    }
+    words = ("--model", "right=b", "--sensor", "left=uskin", "--sensor", "right=gelsight")
+    both = live._sensors(live_options(*words, model="left=a"))
+    assert [(one.sensor, one.stream) for one in both.values()] == [("uskin", ""), ("gelsight", "")]
+    alone = live._sensors(live_options("--sensor", "uskin", "--out", "f.csv", model="x/y=1"))
+    assert [(one.model, str(one.out)) for one in alone.values()] == [("x/y=1", "f.csv")]
+    wrong = [
+        (("--model", "b"), "left=a", "NAME=b"),
+        (("--model", "left=b"), "left=a", "NAME=b"),
+        (("--sensor", "uskin", "--sensor", "gelsight"), "a", "NAME=uskin"),
+        (("--sensor", "left=uskin"), "a", "it has none"),
+        (("--model", "right=b", "--sensor", "left=uskin"), "left=a", "left, right"),
+    ]
+    for words, model, text in wrong:
+        with pytest.raises(ConfigError, match=text):
+            live._sensors(live_options(*words, model=model))
+    mock = live._sensors(live_options("--sensor", "uskin", model="left=a"))["left"]
+    with pytest.raises(ConfigError, match="--sensor left="):
+        live._source(mock)
+
+
+def test_two_sensors_of_a_session_are_played_side_by_side_to_page_and_socket(
+    tmp_path: Path,
+) -> None:
+    session, model = tmp_path / "s.zarr", tmp_path / "model"
+    make_session(session, seconds=3.0, names=("taxels", "taxels_2"))
+    write_model(model)
+    given = {"model": str(model), "sensor": "uskin", "signal": "taxels", "description": ""}
+    given |= {"depth": 1e-3, "preset_name": "uskin"}
+    jobs = [
+        SensorJob(
+            name, functools.partial(live._replayed, session, stream), given, out=tmp_path / name
+        )
+        for name, stream in (("left", "taxels"), ("right", "taxels_2"))
+    ]
+    access = AccessPolicy(port=0)
+    shown = [ForcesJob("uskin", "REPLAY", name=name) for name in ("left", "right")]
+    received: list[dict[str, Any]] = []
+    with (
+        SideBySide(jobs) as sensors,
+        ForcesPage(access, Folders(tmp_path / "none", BENCHES), shown) as page,
+        connect(f"ws://127.0.0.1:{page.port}/forces") as program,
+    ):
+        felt: list[Any] = []
+        sensors.begin()
+        while not sensors.over:
+            for name, reading, t_ns, latency, gauge in sensors.news(0.1):
+                felt.append((name, t_ns, reading.force, reading.slip))
+                page.add(reading, t_ns, latency, gauge, name)
+        page.close()
+        with contextlib.suppress(ConnectionClosed):
+            while True:
+                received.append(json.loads(program.recv(timeout=60)))
+    assert len(received) == len(felt) > 200
+    for message, (name, t_ns, force, slip) in zip(received, felt, strict=True):
+        assert (message["finger"], message["t_ns"], message["slip"]) == (name, t_ns, slip)
+        assert message["force"] == pytest.approx(force, abs=1e-4)
+        assert message["half_width"] == [None] * 3
+    assert {slip for *_, slip in felt} <= {"none", "incipient", "gross"}
+    # Both are played by one clock, as they were recorded together.
+    first = [next(t_ns for name, t_ns, *_ in felt if name == one) for one in ("left", "right")]
+    recorded = [Session(session).streams[one].t_ns for one in ("taxels", "taxels_2")]
+    rows = [
+        np.searchsorted(t, t[0] + at - min(first)) for t, at in zip(recorded, first, strict=True)
+    ]
+    apart = recorded[0][rows[0]] - recorded[1][rows[1]]
+    assert abs((first[0] - first[1]) - apart) < 20_000_000
+    assert all("p50" in sensors.ends[name].lines[1] for name in ("left", "right"))
+    for name in ("left", "right"):
+        assert (tmp_path / name).read_text().count("\n") == 1 + sum(f[0] == name for f in felt)
+
+
+def test_a_sensor_that_cannot_be_opened_ends_the_others(tmp_path: Path) -> None:
+    model = tmp_path / "model"
+    write_model(model)
+    session = make_session(tmp_path / "s.zarr", seconds=0.5, names=("taxels",))
+    given = {"model": str(model), "sensor": "uskin", "signal": "taxels", "description": ""}
+    given |= {"depth": 1e-3, "preset_name": "uskin"}
+    jobs = [
+        SensorJob(name, functools.partial(live._replayed, session, stream), given)
+        for name, stream in (("left", ""), ("right", "nothing"))
+    ]
+    with pytest.raises(SessionError, match=r"right: .*nothing; allowed: taxels"), SideBySide(jobs):
+        pass
 
 
 @pytest.mark.serial

@@ -74,6 +74,18 @@ def test_live_data_ask_for_our_origin_and_the_cookie(access: AccessPolicy) -> No
     assert ask(access, f"/live?token={access.token}", Host=host, Origin=f"http://{host}") == 403
 
 
+def test_a_program_receives_forces_with_the_token_and_a_page_of_another_site_does_not() -> None:
+    here, there = "localhost:8765", "192.168.1.4:8765"
+    assert ask(LOCAL, "/forces", Host=here) == 101
+    assert ask(LOCAL, "/forces", Host=here, Origin=f"http://{here}") == 101
+    assert ask(LOCAL, "/forces", Host=here, Origin="http://evil.example") == 404
+    assert ask(LOCAL, "/forces", Host="evil.example") == 403
+    assert ask(LOCAL, "/forces", Host=here, full=True) == 503
+    assert ask(REMOTE, "/forces", Host=there) == 403
+    assert ask(REMOTE, "/forces?token=wrong", Host=there) == 403
+    assert ask(REMOTE, "/forces?token=remote-token", Host=there) == 101
+
+
 def test_a_header_sent_twice_counts_as_not_sent() -> None:
     headers = Headers([("Host", "127.0.0.1:8765"), ("Host", "evil.example")])
     response = Site(LOCAL).answer(Request("/", headers), full=False)
