@@ -438,12 +438,12 @@ def grasp(path: Path) -> None:
 def _curves(table: NDArray[np.float64], least: float) -> tuple[Image.Image, tuple[int, int]]:
     """Return the drawn curves of a grip, and the columns of their first and last time."""
     png = io.BytesIO()
-    dpi = 100
-    with chart(png, CURVES_PX[0] / dpi, CURVES_PX[1] / dpi) as figure:
-        figure.set_dpi(dpi)
+    with chart(png, CURVES_PX[0] / 100, CURVES_PX[1] / 100) as figure:
         figure.set_layout_engine("none")
-        forces, width = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-        figure.subplots_adjust(left=0.09, right=0.98, top=0.97, bottom=0.25, hspace=0.12)
+        sides = {"left": 0.08, "right": 0.98, "top": 0.97, "bottom": 0.17, "hspace": 0.12}
+        grid = figure.add_gridspec(2, 1, height_ratios=(3, 1), **sides)
+        forces = figure.add_subplot(grid[0])
+        width = figure.add_subplot(grid[1], sharex=forces)
         time, left, right, load, wanted, slips, opening = table.T
         for values, color, label in (
             (left, BLUE, "normal force, left"),
@@ -461,7 +461,7 @@ def _curves(table: NDArray[np.float64], least: float) -> tuple[Image.Image, tupl
         width.set_xlabel("time [s]", fontsize=7)
         forces.set_xlim(time[0], time[-1])
         for axes in (forces, width):
-            axes.tick_params(labelsize=6)
+            axes.tick_params(labelsize=6, labelbottom=axes is width)
         place = forces.get_position()
     image = Image.open(png).convert("RGB").resize(CURVES_PX)
     return image, (round(place.x0 * CURVES_PX[0]), round(place.x1 * CURVES_PX[0]))
