@@ -34,7 +34,7 @@ WRONG   := $(shell $(or $(PYTHON),python3) tests/support/make_names.py $(call qu
 $(if $(WRONG),$(error wrong input: $(WRONG)))
 endif
 
-.PHONY: help collect resume campaign replay demo-learning demo-transfer demo-twin demo-paper \
+.PHONY: help collect resume campaign replay demo-learning demo-transfer demo-twin demo-paper demo-grasp \
   test test-slow-sim test-slow-rest check docs reference format setup clean
 
 help:
@@ -68,14 +68,14 @@ demo-transfer: $(VENV)/.learning-sim  ## newtons on a simulated sensor without a
 	  --ways mean,ridge,cells,kernel --out "$$out/model" && rm -rf "$$out/weighed" && \
 	$(TACTILE) calibrate-force "$$out/model" $$($(PY) $(BARE)/weigh.py "$$bare" 200,400) \
 	  --out "$$out/weighed" && $(TACTILE) evaluate "$$out/weighed" "$$bare"
-
 demo-twin: $(VENV)/.rig-sim  ## a mock sensor is recorded and its twin identified
 	@$(PY) -m benchmarks twin --only demo --out $(call folder,runs/twin-demo)/twin.md
-
 demo-paper: $(VENV)/.learning-sim  ## the paper's training of its force net, at a quarter of the width
 	@out=$(call folder,runs/demo-paper) && shown="$$out/demo.markers.zarr" && $(TACTILE) sim archive \
 	  $(DEMO)/circle.yaml $(SMALL) --scale 0.05 --steps 1 --out "$$shown" && $(TACTILE) train force "$$shown" \
 	  --preset examples/demo-paper/quarter.yaml --out "$$out/net" && $(TACTILE) evaluate "$$out/net" "$$shown"
+demo-grasp: $(VENV)/.rig-learning-sim  ## SEED=7: simulated fingers lift 100 objects by force
+	@$(TACTILE) grip --demo $(call options,SEED)
 
 ##@ Develop
 test: $(VENV)/.rig-dev  ## run the default tests (about 6 minutes on 2 cores)

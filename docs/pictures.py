@@ -2,12 +2,14 @@
 
 `bench` is wiring, mounting, frames and plan of a packaged bench; `indenters` and `patterns` are
 contact sheets; `sensors` is a prism pressed into every sensor (minutes); `tips` is one drawing of
-each indenter in mm, which is packaged with the benches. Without names all but `tips` are drawn.
+each indenter in mm, which is packaged with the benches; `grasp` is the film of a grip (a minute).
+Without names all but these two are drawn.
 """
 
 from __future__ import annotations
 
 import argparse
+import io
 import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -385,12 +387,111 @@ def tips(folder: Path) -> None:
         tip(named(name, edge_radius=0.0), folder / f"{name}.png")
 
 
+# A grip by force: pictures of both fingers above forces, opening and slips until then.
+
+# Mass [kg] and friction of the object, size of a finger's picture and of the curves [px], and time
+# of a frame of the film [ms].
+GRIPPED, VIEW_PX, CURVES_PX, FRAME_MS = (0.12, 0.4), (288, 216), (584, 260), 80
+# Counts of the gripper that the film shows.
+CLOSING = 14
+
+
+def grasp(path: Path) -> None:
+    """Film one simulated grip, from the open fingers to the lifted object."""
+    from rig.acquire.grip_force import ForceGrip, GripSettings
+    from rig.bench.pair import GraspObject
+    from rig.core.finger import FingerForce
+    from rig.mock.world.pair import PairState
+    from tactile.grasp_demo import COUNT, SKIN, Lifter, Load, lift
+    from tactile.grasp_model import cached_model
+
+    mass, friction = GRIPPED
+    gripped = GraspObject("film", ("cylinder", "hexagon"), 0.03, mass, friction / SKIN)
+    least = mass * 9.81 / 2 / friction
+    hand = Lifter(str(cached_model(lambda done, total: None, print)))
+    views: list[list[NDArray[np.uint8]]] = []
+    rows: list[tuple[float, ...]] = []
+
+    def seen(state: PairState, pair: tuple[FingerForce, FingerForce], grip: ForceGrip) -> None:
+        views.append([np.asarray(picture) for picture in hand.eyes.pictures])
+        normals = [-one.force[2] for one in pair]
+        load = 0.5 * sum(math.hypot(*one.force[:2]) for one in pair)
+        slips = float(any(one.slipping for one in pair))
+        rows.append((1e-9 * state.t_ns, *normals, load, grip.wanted, slips, grip.position))
+
+    load = Load(gripped, least, math.inf, math.inf, 0.0)
+    result = lift(hand.world, hand.clock, load, hand.eyes.begin(), GripSettings(), seen)
+    if not result.lifted:
+        raise RuntimeError(f"not lifted: {result.reason}")
+    table = np.array(rows)
+    table[:, 0] -= table[0, 0]
+    table[:, 6] = 1e3 * COUNT * np.maximum(table[:, 6] - table[:, 6].max(initial=0) + CLOSING, 0)
+    curves, ends = _curves(table, least)
+    frames = [_frame(*each, curves, ends, k / (len(views) - 1)) for k, each in enumerate(views)]
+    first = frames[-1].quantize(160, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    film = [one.quantize(palette=first, dither=Image.Dither.NONE) for one in frames]
+    film[0].save(
+        path, save_all=True, append_images=film[1:], duration=FRAME_MS, loop=0, optimize=True
+    )
+
+
+def _curves(table: NDArray[np.float64], least: float) -> tuple[Image.Image, tuple[int, int]]:
+    """Return the drawn curves of a grip, and the columns of their first and last time."""
+    png = io.BytesIO()
+    with chart(png, CURVES_PX[0] / 100, CURVES_PX[1] / 100) as figure:
+        figure.set_layout_engine("none")
+        sides = {"left": 0.08, "right": 0.98, "top": 0.97, "bottom": 0.17, "hspace": 0.12}
+        grid = figure.add_gridspec(2, 1, height_ratios=(3, 1), **sides)
+        forces = figure.add_subplot(grid[0])
+        width = figure.add_subplot(grid[1], sharex=forces)
+        time, left, right, load, wanted, slips, opening = table.T
+        for values, color, label in (
+            (left, BLUE, "normal force, left"),
+            (right, SKY, "right"),
+            (load, RED, "load along a skin"),
+            (wanted, GREY, "wanted"),
+        ):
+            forces.plot(time, values, color=color, label=label, lw=1.3)
+        forces.axhline(least, color=LINE, ls=":", lw=1, label="least, unknown to the grip")
+        forces.plot(time[slips > 0], left[slips > 0], "o", color=ORANGE, ms=4, label="slip")
+        forces.legend(fontsize=6, loc="upper left")
+        forces.set_ylabel("force [N]", fontsize=7)
+        width.plot(time, opening, color=LINE, lw=1.3, drawstyle="steps-post")
+        width.set_ylabel("closed [mm]", fontsize=7)
+        width.set_xlabel("time [s]", fontsize=7)
+        forces.set_xlim(time[0], time[-1])
+        for axes in (forces, width):
+            axes.tick_params(labelsize=6, labelbottom=axes is width)
+        place = forces.get_position()
+    image = Image.open(png).convert("RGB").resize(CURVES_PX)
+    return image, (round(place.x0 * CURVES_PX[0]), round(place.x1 * CURVES_PX[0]))
+
+
+def _frame(
+    left: NDArray[np.uint8],
+    right: NDArray[np.uint8],
+    curves: Image.Image,
+    ends: tuple[int, int],
+    fraction: float,
+) -> Image.Image:
+    """Return a frame of the film: both pictures, and the curves up to a fraction of the time."""
+    wide, tall = VIEW_PX
+    frame = Image.new("RGB", (2 * wide + 8, tall + CURVES_PX[1]), "white")
+    for side, picture in enumerate((left, right)):
+        frame.paste(Image.fromarray(picture).resize(VIEW_PX), (side * (wide + 8), 0))
+    frame.paste(curves, (0, tall))
+    now = round(ends[0] + fraction * (ends[1] - ends[0]))
+    ImageDraw.Draw(frame).line([(now, tall + 6), (now, tall + CURVES_PX[1] - 52)], fill=FRAME)
+    return frame
+
+
 PICTURES: dict[str, tuple[Callable[[Path], Any], Path]] = {
     "bench": (bench, IMAGES),
     "indenters": (indenters, IMAGES / "indenters.png"),
     "patterns": (patterns, IMAGES / "patterns.png"),
     "sensors": (sensors, IMAGES / "sensors.png"),
     "tips": (tips, TIPS),
+    "grasp": (grasp, IMAGES / "grasp.gif"),
 }
 
 
@@ -398,7 +499,9 @@ def main() -> None:
     """Draw the pictures that are named."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", choices=[*PICTURES, []], metavar="NAME")
-    for name in parser.parse_args().names or [name for name in PICTURES if name != "tips"]:
+    for name in parser.parse_args().names or [
+        name for name in PICTURES if name not in ("tips", "grasp")
+    ]:
         draw, path = PICTURES[name]
         draw(path)
         print(path)

@@ -48,7 +48,7 @@ RECORD = (
         "rig.cli.jog",
         "move the arm with a SpaceMouse; its first button sets the contact origin",
     ),
-    Command("grip", "rig.cli.grip", "open the gripper, then close it on the indenter"),
+    Command("grip", "tactile.grip", "open the gripper, then close it on the indenter", "rig"),
     Command("mock", "rig.cli.mock", "run the emulators of a bench until Ctrl-C"),
     Command(
         "replay",

@@ -18,7 +18,7 @@ ALLOWED = {
     "rig": {"trajectories", "recorder"},
     "sim": {"trajectories", "recorder"},
     "learning": {"trajectories", "recorder"},
-    "tactile": {"recorder", "learning"},
+    "tactile": {"recorder", "learning", "rig"},
 }
 # Vendor libraries and the only modules that may import them.
 VENDORS = {

@@ -12,7 +12,7 @@ from rig.devices.gripper.settings import RobotiqConfig
 _OPENING = 5.0
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     bench_options(parser, mock=False)
     parser.add_argument("--open", action="store_true", help="only open; a held indenter falls")
