@@ -115,7 +115,7 @@ def test_every_bench_in_the_repository_loads_with_the_papers_targets(sensor: str
 
 
 def test_the_table_above_misses_no_bench() -> None:
-    assert {path.stem for path in BENCHES.glob("*.yaml")} == {*TARGETS, "mock"}
+    assert {path.stem for path in BENCHES.glob("*.yaml")} == {*TARGETS, "mock", "pair"}
 
 
 def test_the_labs_bench_comes_before_the_mock_one(tmp_path: Path) -> None:

@@ -95,6 +95,11 @@ NEEDED = {
     "nidaq": {"device": {"calibration": "x.cal"}},
     "robotiq_2f": {"device": {"port": "tty"}},
     "scale": {"device": {"protocol": "kern"}},
+    "hand": {
+        "pair": {"left": {"sensor": "gelsight"}, "right": {"sensor": "uskin"}},
+        "objects": [],
+        "folder": ".",
+    },
     "hid_pedal": {"device": {"kind": "hid_pedal", "device": "/x.hidraw"}},
     "spacemouse": {"device": {"kind": "spacemouse", "device": "/x.hidraw"}},
 }
