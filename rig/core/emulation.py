@@ -355,13 +355,17 @@ class EmulatorConfig:
     """Port for injecting faults; None: none."""
 
     def __post_init__(self) -> None:
-        """Reject an address that other machines can reach, as a lab's device can be."""
-        try:
-            if ipaddress.ip_address(self.host).is_loopback:
-                return
-        except ValueError:
-            pass
-        raise ValueError(f"host: found {self.host!r}; allowed: a loopback address, 127.x.y.z")
+        require_loopback(self.host)
+
+
+def require_loopback(host: str) -> None:
+    """Reject an address that other machines can reach, as a lab's device can be."""
+    try:
+        if ipaddress.ip_address(host).is_loopback:
+            return
+    except ValueError:
+        pass
+    raise ValueError(f"host: found {host!r}; allowed: a loopback address, 127.x.y.z")
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from rig.bench.worlds import WorldSpec
 from rig.core.config import build, read_yaml
+from rig.core.emulation import require_loopback
 from rig.mock.world.contact import World, tip_of
 from rig.mock.world.ladder import LadderSurface, LadderWorld
 from rig.mock.world.sensors import pad_of
@@ -34,6 +35,9 @@ class WorldConfig:
     """Loopback address of the fault port."""
     fault_port: int | None = None
     """Port for the hand of an operator, see `rig.mock.world.host`; None: none."""
+
+    def __post_init__(self) -> None:
+        require_loopback(self.host)
 
     def surface(self, points: np.ndarray) -> Callable[[np.void], np.ndarray]:
         """Return a function of a WORLD_STATE: how points (n, 2) [m] move (n, 3) [m]."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from rig.bench.pair import FINGERS, GraspObject, PairSpec
 from rig.core.clock import Clock, SystemClock
-from rig.core.emulation import NO_CONTACT_DEPTH, Emulator, Served
+from rig.core.emulation import NO_CONTACT_DEPTH, Emulator, Served, require_loopback
 from rig.core.mock_names import HAND_FILE
 from rig.core.samples import HAND_TRUTH, WORLD_STATE
 from rig.core.shared_memory import SharedLatest
@@ -34,6 +34,9 @@ class HandWorldConfig:
     host: str = "127.0.0.1"
     fault_port: int | None = None
     """Port for the hands of an operator; None: none."""
+
+    def __post_init__(self) -> None:
+        require_loopback(self.host)
 
 
 class HandHost(Emulator):
