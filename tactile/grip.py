@@ -4,6 +4,7 @@ import argparse
 
 from recorder.command_line.options import add_seed, add_value, whole
 from rig.cli import grip
+from rig.core.errors import ConfigError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,6 +21,9 @@ def run(options: argparse.Namespace) -> int:
     """Lift simulated objects, or grip on a bench; return the exit code."""
     if not options.demo:
         return grip.run(options)
+    for name in ("bench", "sensor", "open"):
+        if getattr(options, name, None):
+            raise ConfigError(f"--{name}: does not go with --demo, which needs no bench")
     from tactile.grasp_demo import demo
 
     demo(options.seed, options.lifts, lambda text: print(text, flush=True))

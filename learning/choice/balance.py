@@ -20,8 +20,9 @@ from learning.force.folder import model_name
 from learning.force.intervals import AxisError, Scale, read_intervals
 from learning.force.labels import LabelSource, Relabelling
 from learning.force.loading import load_force_model
-from learning.force.made_for import made_for
+from learning.force.made_for import CHOICE, made_for
 from learning.force.model import prepared_rows
+from learning.training.checkpoint import read_model_folder
 from learning.transfer.scale import forces_at
 from learning.transfer.squeezes import Squeezes, squeezes
 from learning.transfer.weights import Balanced, forces_by, straight, weigh_balanced
@@ -62,6 +63,12 @@ def by_model(one: Request, source: SensorSelection, model: str, say: Say) -> Ori
         raise LearningError(
             f"--source-model: found a model of {', '.join(names)}; allowed: one of {source.name}, "
             f"or --source {source.archive.name}:{source.sensor}=NAME, the model's name of it"
+        )
+    of = read_model_folder(folder).config.metadata.get(CHOICE, {}).get("finger")
+    if of and of != source.archived.attrs.get("finger"):
+        raise LearningError(
+            f"--source-model: found a model of the {of} finger; allowed: one of "
+            f"{source.archived.attrs.get('finger')}, whose archive is the source"
         )
     rows, back = np.unique(pairs.others, return_inverse=True)
     predicted = forces_at(source.archived, rows, load_force_model(folder))

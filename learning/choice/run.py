@@ -349,7 +349,10 @@ def _write(
     metadata = {
         **metadata_of(archive, {one.sensor.sensor: rows}),
         "method": origin.method,
-        CHOICE: {"way": way.name, "about": way.about, "seen": seen, "source": origin.source},
+        CHOICE: {
+            **{"way": way.name, "about": way.about, "seen": seen, "source": origin.source},
+            "finger": str(one.sensor.archived.attrs.get("finger", "")),
+        },
     }
     for name in ("model.onnx", f"{MODEL}.safetensors"):
         (out / name).unlink(missing_ok=True)

@@ -120,7 +120,7 @@ def add_device(parser: argparse._ActionsContainer, purpose: str = "device") -> N
 
 def add_seed(parser: argparse._ActionsContainer) -> None:
     """Add `--seed`, the seed of all random draws."""
-    add_value(parser, "--seed", "N", 0, "seed of random draws", int)
+    add_value(parser, "--seed", "N", 0, "seed of random draws", whole(0))
 
 
 def add_grid(parser: argparse._ActionsContainer, default: int = 64) -> None:

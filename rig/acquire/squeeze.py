@@ -33,6 +33,8 @@ _PICTURES = 4
 # Change of a signal over that at rest which is motion or contact, and the least one [grey levels or
 # counts].
 _MOVES, _LEAST = 3.0, {"camera": 0.3, "taxels": 2.0}
+# Part of gravity along the grip axis from which one finger is above the other.
+_ABOVE = 0.5
 # Time until the gripper rests, and between two looks [s]; its object detection then.
 _RESTS, _LOOK = 10.0, 0.02
 _AT_REST = (AT_POSITION, STOPPED_CLOSING)
@@ -64,6 +66,8 @@ class Squeezing:
         """Steps that were held, and those of them that were not steady."""
         self.aloft = False
         """True while only the fingers carry an object."""
+        self.closed = False
+        """True while the fingers are closed on an object, or may be."""
 
     def close(self) -> None:
         """End the stream of commands; may be called twice."""
@@ -75,6 +79,7 @@ class Squeezing:
         self._hands("carry", lifted=False)  # the fingers may hold one from before
         for number, step in enumerate(steps):
             start_ns = self._clock.now_ns()
+            self.closed = step.step > 0
             self._go(self._bench.objects[step.object].width - step.closing)
             if not step.step:
                 self._hands("turn", down=step.turn)
@@ -103,6 +108,7 @@ class Squeezing:
             self._hands("carry", lifted=False)
             self.aloft = False
         self._go(self._bench.objects[step.object].width + self._bench.squeeze.clearance)
+        self.closed = False
         self._segment(number, "normal_dec", "complete", start_ns, self._clock.now_ns())
         self._hands("place", number=None)
 
@@ -114,7 +120,7 @@ class Squeezing:
     def _go(self, opening: float) -> None:
         """Move the fingers and wait until they rest."""
         gripper, config = self._streams["gripper"], self._bench.gripper
-        opening = config.opening(config.position(opening))
+        opening = config.nearest(opening)
         command = {"value": opening, "speed": config.speed, "force": config.force}
         self._check()
         self._action.append(**command, by=0, t_ns=self._clock.now_ns())
@@ -155,7 +161,9 @@ class Squeezing:
             least = _MOVES * noise + _LEAST[self._bench.row(name).kind]
             if _rms(last - first) > least:
                 return f"{name} moves"
-            if self._lost or _rms(last - rest) < least:
+            # A finger above an object that the other one bears may hardly touch it.
+            above = step.lifted and step.turn[0] * (-1, 1)[FINGERS.index(name)] < -_ABOVE
+            if self._lost or (_rms(last - rest) < least and not above):
                 self._lost = self._lost or step.lifted
                 return f"{name} touches nothing, or the object was lost before"
         gripper = Stream(self._writer.stream_path("gripper"), live=True)
@@ -189,7 +197,7 @@ def collect_squeezes(
     file: PairFile,
     folder: Path,
     path: Path,
-    hands: Hands,
+    hands: Callable[[Callable[[], None]], Hands],
     *,
     operator: str = "",
     most: int | None = None,
@@ -198,7 +206,8 @@ def collect_squeezes(
     """Record the squeezes of a bench whose devices are there, and return the exit code.
 
     `folder` is for shared records, `path` the session, `most` the number of steps to record, None
-    for all; `watch` raises if an emulator is gone.
+    for all; `watch` raises if an emulator is gone. `hands` is called with a function that raises
+    once the operator has pressed Ctrl-C.
     """
     bench = file.bench
     steps = list(bench.squeeze.targets(len(bench.objects)))[:most]
@@ -211,7 +220,7 @@ def collect_squeezes(
         begun |= {"states": states_of(description), "bench": file.content, "devices": description}
         writer = session_of(file, path, steps, begun)
         writer.begin_run(begun)
-        squeezing = Squeezing(bench, streams, writer, hands, interrupt)
+        squeezing = Squeezing(bench, streams, writer, hands(interrupt.check), interrupt)
         try:
             for handle in streams:
                 handle.record(writer.stream_path(handle.name))
@@ -224,6 +233,8 @@ def collect_squeezes(
         reason = "" if stop is None else str(stop) or type(stop).__name__
         if squeezing.aloft:
             reason += "; THE HAND STILL HOLDS THE OBJECT: take it before the fingers open"
+        elif squeezing.closed:
+            reason += "; the fingers are still closed on the object"
         status, done = "complete" if stop is None else "stopped", squeezing.done
         summaries = close_session(bench.rate_hz, streams, writer, status, reason, done)
     if stop is not None and not isinstance(stop, tuple(EXIT_CODES)):
@@ -260,7 +271,8 @@ def session_of(
     targets = {n: np.array([getattr(s, n) for s in steps], kind) for n, kind in columns.items()}
     objects = [bench.objects[step.object] for step in steps]
     targets |= {n: np.array([getattr(each, n) for each in objects]) for n in ("width", "mass")}
-    targets["opening"] = targets["width"] - [step.closing for step in steps]
+    due = targets["width"] - [step.closing for step in steps]
+    targets["opening"] = np.array([bench.gripper.nearest(opening) for opening in due])
     streams = [row.spec(begun["devices"][row.name], row.rate_hz) for row in bench.rows]
     return SessionWriter.create(
         path, attrs=attrs, streams=[*streams, action_spec()], targets=targets

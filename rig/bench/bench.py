@@ -588,6 +588,11 @@ class BenchFile:
     @classmethod
     def of(cls, content: dict[str, Any], path: Path) -> BenchFile:
         """Build the bench of a content as read from YAML."""
+        if "fingers" in content:
+            raise ConfigError(
+                f"{path}: a bench with a hand; allowed: tactile collect without --resume, and "
+                "tactile replay of its sessions"
+            )
         return cls(path, content, bench_from(content, str(path)))
 
     @classmethod

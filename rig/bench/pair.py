@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Self
 
+import numpy as np
+
 from rig.bench.bench import (
     READER,
     BenchStream,
@@ -17,6 +19,8 @@ from rig.bench.bench import (
     find_bench,
     read_content,
 )
+from rig.bench.expected import Skin, expected_force
+from rig.bench.indenter import find_indenter
 from rig.bench.worlds import WorldSpec
 from rig.core.errors import ConfigError
 from rig.core.names import plain_name
@@ -113,6 +117,8 @@ class PairBench(StreamBench):
     """Way by which each finger bends per grip force, of a mock's hand [m/N]."""
 
     def __post_init__(self) -> None:
+        if not self.compliance >= 0:
+            raise ValueError(f"compliance: {self.compliance!r}; allowed: 0 or more")
         if tuple(self.fingers) != FINGERS:
             raise ValueError(f"fingers: found {', '.join(self.fingers)}; allowed: left, right")
         if self.mock != all(finger.world is not None for finger in self.fingers.values()):
@@ -126,6 +132,46 @@ class PairBench(StreamBench):
         names = [each.name for each in self.objects]
         if not names or len({*names}) < len(names):
             raise ValueError(f"objects: found {names}; allowed: one or more, each name once")
+        gripper, squeeze = self.gripper, self.squeeze
+        if squeeze.step < gripper.per_count * (1 - 1e-9):
+            raise ValueError(
+                f"squeeze.step_mm: {1e3 * squeeze.step:g}; allowed: {1e3 * gripper.per_count:g}, "
+                "one count of the gripper, or more"
+            )
+        least = gripper.opening(gripper.closed) + squeeze.deepest
+        most = gripper.opening(0) - squeeze.clearance
+        for each in self.objects:
+            plain_name("objects.name", each.name)
+            for face in each.faces:
+                find_indenter(face)
+            if not least < each.width <= most:
+                raise ValueError(
+                    f"objects.{each.name}.width_mm: {1e3 * each.width:g}; allowed: above "
+                    f"{1e3 * least:g} (the deepest step) to {1e3 * most:g} (open, with clearance)"
+                )
+
+    def check_depths(self) -> None:
+        """Reject a squeeze that presses a skin of a mock deeper than its sensor's plan does.
+
+        Raises:
+            ConfigError: It does; the faces of an object divide its closing by their stiffness.
+        """
+        for each in self.objects:
+            curves = [
+                expected_force(Skin(finger.world.sensor), face, exact=True)
+                for finger, face in zip(self.fingers.values(), each.faces, strict=True)
+                if finger.world is not None
+            ]
+            for force in np.linspace(0.0, 50.0, 1001):
+                depths = [curve.depth_of(float(force))[0] for curve in curves]
+                if sum(depths) + 2 * self.compliance * force >= self.squeeze.deepest:
+                    break
+            for (name, finger), depth in zip(self.fingers.items(), depths, strict=True):
+                if depth > finger.depth_max:
+                    raise ConfigError(
+                        f"squeeze: presses {each.name} {1e3 * depth:.2f} mm into the {name} skin; "
+                        f"allowed: {1e3 * finger.depth_max:g}: fewer steps, or faces more alike"
+                    )
 
     @property
     def rows(self) -> tuple[BenchStream, ...]:
@@ -156,10 +202,13 @@ class PairFile:
         fingers = content.get("fingers")
         if not isinstance(fingers, dict):
             raise ConfigError(f"{path}.fingers: found {fingers!r}; allowed: left and right")
-        read = {name: _finger(own, f"{path}.fingers.{name}") for name, own in fingers.items()}
+        read = {name: _finger(fingers[name], f"{path}.fingers.{name}") for name in sorted(fingers)}
         if not content.get("mock"):
             read = {name: {**each, "world": None} for name, each in read.items()}
-        return cls.of({**content, "fingers": read}, path)
+        file = cls.of({**content, "fingers": read}, path)
+        if file.bench.mock:
+            file.bench.check_depths()
+        return file
 
     def at(self, hosts: dict[str, str], folder: Path) -> Self:
         """Return the file with the host of each finger's emulator, and the run folder, filled in.
@@ -180,10 +229,12 @@ def _finger(own: Any, where: str) -> dict[str, Any]:
     path = find_bench(own["sensor"], where=f"{where}.sensor")
     content = read_content(path)
     device = content.get("camera") or content.get("taxels")
-    if device is None:
-        raise ConfigError(f"{where}.sensor: {path} has neither camera nor taxels")
+    if not isinstance(device, dict) or "depth_max_mm" not in (content.get("limits") or {}):
+        raise ConfigError(f"{where}.sensor: {path} has no camera or taxels, or no depth_max_mm")
     given = own.get("device") or {}
-    same = given.get("kind", device["kind"]) == device["kind"]
+    if not isinstance(given, dict):
+        raise ConfigError(f"{where}.device: found {given!r}; allowed: keys of its camera or taxels")
+    same = given.get("kind", device.get("kind")) == device.get("kind")
     return {
         "depth_max_mm": content["limits"]["depth_max_mm"],
         "world": content.get("world"),

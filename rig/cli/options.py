@@ -10,7 +10,7 @@ import select
 import socket
 import sys
 import termios
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -336,17 +336,18 @@ def require_terminal() -> None:
         raise ConfigError("lab bench: no terminal to ask on; allowed: a terminal at the bench")
 
 
-def answer(question: str) -> str | None:
+def answer(question: str, check: Callable[[], None] = lambda: None) -> str | None:
     """Return the line that is typed after the question, without its end; None at the end of input.
 
     What was typed before is dropped: an Enter meant for an earlier command must not start an arm.
+    `check` is called again and again meanwhile, and may raise.
     """
     if sys.stdin.isatty():
         termios.tcflush(sys.stdin, termios.TCIFLUSH)
     print(question, end="", flush=True)
     # Ctrl-C may come as soon as the question appears; `input` misses one just before it reads.
     while not select.select([sys.stdin], [], [], 0.2)[0]:
-        pass
+        check()
     line = sys.stdin.readline()
     return line.removesuffix("\n") if line else None
 

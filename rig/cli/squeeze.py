@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import tempfile
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -45,20 +46,29 @@ def run(options: argparse.Namespace, content: dict[str, Any], path: Path) -> int
         stack.enter_context(logged_to(session))
         temporary = tempfile.TemporaryDirectory(prefix="tactile-rig-")
         folder, watch = Path(stack.enter_context(temporary)), None
-        hands: Hands = partial(_ask, [each.name for each in bench.objects])
+        names = [each.name for each in bench.objects]
+
+        def hands(check: Callable[[], None]) -> Hands:
+            return partial(_ask, names, check)
+
         if bench.mock:
             # Imported here, so that a collection on lab devices loads no emulator.
             from rig.mock.bench import MockHand
 
             mock = stack.enter_context(MockHand(file, folder, truth=options.truth))
             file, watch = mock.file, mock.check
-            hands = partial(inject, mock.hosts["left"], PORTS["world"])
+            world = partial(inject, mock.hosts["left"], PORTS["world"])
+
+            def hands(check: Callable[[], None]) -> Hands:
+                return world
+
         more = {"operator": options.operator, "most": options.targets, "watch": watch}
         return collect_squeezes(file, folder, session, hands, **more)
 
 
 def _ask(
     names: list[str],
+    check: Callable[[], None],
     what: str,
     *,
     down: tuple[float, ...] = (),
@@ -73,5 +83,5 @@ def _ask(
         "place": held,
         "carry": let_go if lifted else "support what the fingers hold, if anything",
     }[what]
-    if answer(f"{text}; Enter: ") is None:
+    if answer(f"{text}; Enter: ", check) is None:
         raise ConfigError("no terminal to ask on; allowed: a terminal at the bench")

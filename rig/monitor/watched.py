@@ -255,6 +255,11 @@ def signals_of(session: Session) -> list[str]:
 def signal_of(session: Session, name: str = "") -> str:
     """Return a stream that can be watched; without a name, the one with the role signal."""
     allowed = signals_of(session)
+    if not name and "fingers" in session.attrs:
+        raise SessionError(
+            f"{session.path}: has the fingers {' and '.join(allowed)}; allowed: --model "
+            f"{allowed[0]}=MODEL, and so on"
+        )
     if (name or session.signal) not in allowed:
         raise SessionError(
             f"{session.path}: has neither camera nor taxels"

@@ -72,3 +72,7 @@ class HandConfig(RobotiqConfig):
     def position(self, opening: float) -> int:
         """Return the position whose opening is nearest to one [m], 0 to 255."""
         return min(max(round(self.closed - opening / self.per_count), 0), 255)
+
+    def nearest(self, opening: float) -> float:
+        """Return the opening of whole counts that is nearest to one [m]."""
+        return self.opening(self.position(opening))
