@@ -32,6 +32,9 @@ from tactile.run import main
 PATH = BENCHES / "pair.yaml"
 
 
+ONE = {"name": "one", "width_mm": 30.0, "mass_kg": 0.1}
+
+
 def content(**changes: Any) -> dict[str, Any]:
     return {**read_content(PATH), **changes}
 
@@ -55,6 +58,12 @@ def test_fingers_have_the_settings_of_their_sensors_and_their_own() -> None:
         ({"squeeze": {"steps": 9}}, "allowed: up to 2.6 mm"),
         ({"squeeze": {"turns": [[1.0, 1.0, 0.0]]}}, "allowed: unit vectors"),
         ({"arm": "ur"}, "arm"),
+        ({"squeeze": {"step_mm": 0.1}}, "allowed: 0.37, one count of the gripper, or more"),
+        ({"objects": [{**ONE, "width_mm": 83.0}]}, "one.width_mm: 83; allowed: above 1.85"),
+        ({"objects": [{**ONE, "name": "../x"}]}, "objects.name: found"),
+        ({"objects": [{**ONE, "faces": ["ball", "cylinder"]}]}, "found 'ball'"),
+        ({"objects": [{**ONE, "faces": ["sphere_s", "cylinder"]}]}, "mm into the left skin"),
+        ({"compliance": -1e-5}, "compliance"),
     ],
 )
 def test_errors_of_the_file_name_what_is_allowed(changes: dict[str, Any], message: str) -> None:
@@ -103,9 +112,9 @@ class Made(Squeezing):
 
 
 @contextlib.contextmanager
-def squeezing(path: Path, hand: FakeHand) -> Iterator[Made]:
+def squeezing(path: Path, hand: FakeHand, kind: type[Made] = Made) -> Iterator[Made]:
     writer, interrupt = begun_session(path), SimpleNamespace(check=lambda: None)
-    made = Made(pads().bench, hand, writer, hand.hands, interrupt)  # type: ignore[arg-type]
+    made = kind(pads().bench, hand, writer, hand.hands, interrupt)  # type: ignore[arg-type]
     try:
         yield made
     finally:
@@ -127,8 +136,10 @@ def test_the_hand_opens_only_once_somebody_carries_the_object(tmp_path: Path) ->
 
 def test_a_lost_gripper_aloft_stays_closed(tmp_path: Path) -> None:
     hand = FakeHand(lose_at=3)
-    with squeezing(tmp_path / "s.zarr", hand) as made, pytest.raises(DeviceLost):
-        made.run(STEPS[:6])
+    with squeezing(tmp_path / "s.zarr", hand) as made:
+        with pytest.raises(DeviceLost):
+            made.run(STEPS[:6])
+        assert made.closed
     sent = [entry for entry in hand.log if isinstance(entry, float)]
     assert sent == sorted(sent, reverse=True)
     assert False not in hand.log[1:]
@@ -145,6 +156,24 @@ def test_a_hold_that_moves_or_touches_nothing_is_kept_and_marked(
         made.run(STEPS[1:3])
         assert made.unsteady == 2
     assert Session(tmp_path / "s.zarr", unsealed=True).segments["outcome"].tolist() == [0, 4, 4, 0]
+
+
+@pytest.mark.parametrize(
+    ("turn", "why"), [(1.0, ""), (-1.0, "left touches"), (0.0, "left touches")]
+)
+def test_only_a_finger_above_the_object_may_hardly_touch(
+    turn: float, why: str, tmp_path: Path
+) -> None:
+    class Left(Made):
+        def _parts(self, name: str, *times: int) -> tuple[np.ndarray, np.ndarray]:
+            self.level = float(name == "right")
+            return super()._parts(name, *times)
+
+    step = STEPS[1]._replace(turn=(turn, 0.0, 1 - abs(turn)), lifted=True)
+    with squeezing(tmp_path / "s.zarr", FakeHand(), Left) as made:
+        made.run(STEPS[:1])
+        # The made-up gripper has no samples.
+        assert made._unsteady(0, 1, step).startswith(why or "the gripper")
 
 
 def test_fingers_of_a_hand_stop_at_the_force_of_the_motor(tmp_path: Path) -> None:
