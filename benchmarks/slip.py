@@ -94,10 +94,9 @@ class Grip:
 
     def _move(self, tip: Any) -> None:
         press = self._press
-        before, aside = press.stuck, tip[:2] - press.tip[:2]
-        press.move(tip, 1 / (RATE_HZ * STEPS))
+        slid = press.slide(tip, 1 / (RATE_HZ * STEPS))
         if press.wrench[2]:
-            self.slip += float(np.hypot(*(aside - (press.stuck - before))))
+            self.slip += slid
         self._steps += 1
         if self._steps % STEPS == 0:
             points, field, noise = self._view

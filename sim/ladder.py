@@ -526,6 +526,12 @@ class LadderPress:
         self._branches = decay * self._branches + gained * change
         self._elastic, self._force = elastic, force
 
+    def slide(self, tip: Array, seconds: float) -> float:
+        """Move the tip as `move`; return how far the part slid that sticks longest [m]."""
+        before, aside = self.stuck, tip[:2] - self.tip[:2]
+        self.move(tip, seconds)
+        return math.hypot(*(aside - (self.stuck - before)))
+
     def _ahead(self, seconds: float) -> tuple[float, Array]:
         """Return the slope and the rest of each spring's force over its elastic one (n, 3) [N]."""
         if seconds != self._passed[0]:

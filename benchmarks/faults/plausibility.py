@@ -30,7 +30,7 @@ from recorder.session.columns import Stream
 from recorder.session.reader import Session
 from recorder.session.uncertainty import latency_sigma
 from recorder.store.layout import StreamLayout
-from rig.core.packaged import BENCHES
+from rig.core.packaged import BENCHES, OTHERS
 
 Array = NDArray[Any]
 Columns = dict[str, Any]
@@ -219,9 +219,7 @@ EDITS = (
 
 def measure_healthy(run: Run) -> dict[str, Any]:
     """Collect a session for each bench and effect; return the worst value of each witness."""
-    benches = sorted(
-        path.stem for path in BENCHES.glob("*.yaml") if path.stem not in ("mock", "pair")
-    )
+    benches = sorted(path.stem for path in BENCHES.glob("*.yaml") if path.stem not in OTHERS)
     # Each bench once, each time with the next effect, and so on: the first part has all of both.
     chosen = [
         (bench, LABS[(turn + k) % len(LABS)])

@@ -79,13 +79,24 @@ def simulate(
 ) -> MarkerArchive:
     """Make or complete an archive, on the run's device or another, and return it."""
     device = device or run.device
+    make = make_in_processes if device == "cpu" and not run.quick else make_here
+    return made(path, plan, device, partial(make, processes=processes(run)), progress)
+
+
+def made(
+    path: Path,
+    plan: DatasetPlan,
+    device: str,
+    make: Callable[..., Any] = make_here,
+    progress: Callable[[float], None] = lambda done: None,
+) -> MarkerArchive:
+    """Make or complete an archive on a device by one of the makers of `sim.dataset`."""
     ready_device(device)
     if device != "cpu":
         solving = replace(plan.solving, one_topology=plan.solving.tier == "fem")
         plan = replace(plan, batch_size=AT_ONCE, solving=solving)
     opened = begin(path, plan, device)
-    make = make_in_processes if device == "cpu" and not run.quick else make_here
-    fill(opened, partial(make, opened, device=device, processes=processes(run)), progress)
+    fill(opened, partial(make, opened, device=device), progress)
     return MarkerArchive(path)
 
 

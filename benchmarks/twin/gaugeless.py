@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.paper.study import AT_ONCE
+from benchmarks.paper.study import made
 from benchmarks.processes import rows_of
 from benchmarks.report import Page, Run, table
 from learning.choice.run import Request, run_choice, twin_labels
@@ -19,8 +19,7 @@ from learning.transfer.score import new_frames, score_of
 from recorder import MarkerArchive
 from recorder.markers import find_blobs, smallest_marker
 from sim.cli.labels import add_forces
-from sim.dataset import DatasetPlan, Solving, begin, fill
-from sim.dataset.run import make_here
+from sim.dataset import DatasetPlan, Solving
 from sim.errors import SimulationDiverged
 from sim.fem import Fem
 from sim.indenters import NAMES, named
@@ -241,24 +240,21 @@ class Skin:
             trajectory=design.trajectory,
             variation=replace(self.skin.variation, mount=mount, grip=grip),
         )
-        solving = Solving("layer") if self.quick else Solving(one_topology=self.device != "cpu")
         names = (*UNSEEN, *LABELLED[: 3 if self.quick else None])
         plan = DatasetPlan(
             "targets",
             (row,),
             tuple(sorted(names, key=NAMES.index)),
-            solving,
+            Solving("layer" if self.quick else "fem"),
             steps=STEPS,
             fraction=0.01 if self.quick else FRACTION,
-            batch_size=AT_ONCE,
         )
-        opened = begin(folder / "frames.markers.zarr", plan, self.device)
-        fill(opened, partial(make_here, opened, device=self.device), lambda done: None)
+        archive = made(folder / "frames.markers.zarr", plan, self.device)
         file = folder / "twin.yaml"
         file.write_text(twin_yaml(replace(twin, trajectory=row.trajectory), "gelsight.yaml", []))
         how: dict[str, Any] = {"draws": DRAWS, "grid": 32, "device": self.device, "processes": 1}
-        add_forces(MarkerArchive(opened.path), row.name, str(file), **how)
-        selected = SensorSelection(MarkerArchive(opened.path), row.name, row.name)
+        add_forces(archive, row.name, str(file), **how)
+        selected = SensorSelection(MarkerArchive(archive.path), row.name, row.name)
         one = Request(selected, folder / "model", ways=WAYS, unseen=UNSEEN)
         run_choice(one, twin_labels(one), lambda line: None)
         score = score_of(new_frames(one.out, selected))

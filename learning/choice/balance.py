@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from learning.choice.nested import folds_of
@@ -15,14 +14,13 @@ from learning.data.matching import SensorSelection
 from learning.data.presses import Form, load_presses
 from learning.errors import LearningError
 from learning.force.calibrate import shapes
-from learning.force.closed_form import INPUTS, ridge, statistics
+from learning.force.closed_form import features_of, ridge
 from learning.force.folder import model_name
 from learning.force.intervals import AxisError, Scale, read_intervals
 from learning.force.labels import LabelSource, Relabelling
 from learning.force.loading import load_force_model
 from learning.force.made_for import CHOICE, made_for
-from learning.force.model import prepared_rows
-from learning.training.checkpoint import read_model_folder
+from learning.training.checkpoint import read_config
 from learning.transfer.scale import forces_at
 from learning.transfer.squeezes import Squeezes, squeezes
 from learning.transfer.weights import Balanced, forces_by, straight, weigh_balanced
@@ -33,8 +31,8 @@ Integers = NDArray[np.int64]
 
 # Rounds in which either finger learns the other's force, penalty of its regression, and folds.
 ROUNDS, PENALTY, FOLDS = 4, 0.003, 8
-# Columns of `statistics` whose mean is the first signal; frames prepared at once.
-STEPS, _AT_ONCE = slice(3, 6), 512
+# Columns of `statistics` whose mean is the first signal.
+STEPS = slice(3, 6)
 NORMAL_ALONE = (
     "Fx and Fy are unknown (NaN): balance is along the grip axis; how fingers divide a weight "
     "across it does not follow"
@@ -64,7 +62,7 @@ def by_model(one: Request, source: SensorSelection, model: str, say: Say) -> Ori
             f"--source-model: found a model of {', '.join(names)}; allowed: one of {source.name}, "
             f"or --source {source.archive.name}:{source.sensor}=NAME, the model's name of it"
         )
-    of = read_model_folder(folder).config.metadata.get(CHOICE, {}).get("finger")
+    of = read_config(folder).metadata.get(CHOICE, {}).get("finger")
     if of and of != source.archived.attrs.get("finger"):
         raise LearningError(
             f"--source-model: found a model of the {of} finger; allowed: one of "
@@ -156,12 +154,8 @@ def _features(one: Request, finger: SensorSelection, rows: Integers) -> Floats:
     place, valid = (finger.archived.table[name] for name in ("location", "valid"))
     frames = np.flatnonzero(np.isin(place, place[rows]) & valid)
     presses = load_presses(finger.archived, frames, device=one.device, form=form)
-    parts = torch.arange(presses.frames).to(presses.device).split(_AT_ONCE)
-    values = torch.cat(
-        [statistics(prepared_rows(presses, part, INPUTS[form]), form).cpu() for part in parts]
-    )
     order = np.argsort(presses.rows.numpy())[np.searchsorted(frames, rows)]
-    own = values.double().numpy()[order]
+    own = features_of(presses, "statistics").numpy()[order]
     return np.hstack([own, own**2, np.sqrt(np.abs(own))])
 
 

@@ -157,6 +157,17 @@ class ClosedFormModel(ForceModel):
         return self.spread(self.features(frames)) @ self.weights + self.offset
 
 
+def features_of(presses: Presses, features: Features) -> Tensor:
+    """Return the features (n, m) of all frames of presses, marker fields or shading, on the CPU."""
+    inputs = INPUTS[presses.form]
+    require_form(presses, inputs)
+    empty = ClosedFormModel(ClosedFormSettings(features, 1), inputs)
+    rows = torch.arange(presses.frames).split(_AT_ONCE)
+    return torch.cat(
+        [empty.features(prepared_rows(presses, r.to(presses.device), inputs).cpu()) for r in rows]
+    ).double()
+
+
 def fit_closed_form(presses: Presses, features: Features) -> ClosedFormModel:
     """Return the model of labelled presses of a sensor, marker fields or shading.
 
@@ -165,12 +176,7 @@ def fit_closed_form(presses: Presses, features: Features) -> ClosedFormModel:
     """
     presses.require_wrench()
     inputs = INPUTS[presses.form]
-    require_form(presses, inputs)
-    empty = ClosedFormModel(ClosedFormSettings(features, 1), inputs)
-    rows = torch.arange(presses.frames).split(_AT_ONCE)
-    values = torch.cat(
-        [empty.features(prepared_rows(presses, r.to(presses.device), inputs).cpu()) for r in rows]
-    ).double()
+    values = features_of(presses, features)
     indenter = presses.indenter[presses.of_frame].numpy()
     of = indenter if len(np.unique(indenter)) > 1 else presses.of_frame.numpy()
     groups = np.unique(of, return_inverse=True)[1] % GROUPS

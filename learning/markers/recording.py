@@ -188,13 +188,14 @@ def read_recordings(
     path: Path, sensor: str | None = None, finger: str | None = None
 ) -> list[Recording]:
     """Read the presses of a session: one recording, or of a finger of a hand one per object."""
-    fingers = Session(path).attrs.get("fingers")
+    session = Session(path)
+    fingers = session.attrs.get("fingers")
     if fingers is None and finger is None:
-        return [read_recording(path, sensor)]
+        return [_recording(session, sensor)]
     if not isinstance(fingers, dict) or finger not in fingers:
         allowed = f"--finger {' or '.join(fingers)}" if fingers else "a session of a hand"
         raise LearningError(f"{path.name}: found finger {finger}; allowed: {allowed}")
-    whole = read_recording(path, sensor or str(fingers[str(finger)]), str(finger))
+    whole = _recording(session, sensor or str(fingers[str(finger)]), str(finger))
     of_row = np.asarray(whole.session.targets["object"])[whole.column("target")]
     # A squeeze is one press: it begins without contact, from where markers are followed.
     place = whole.places()
@@ -210,9 +211,12 @@ def read_recordings(
     ]
 
 
-def read_recording(path: Path, sensor: str | None = None, finger: str = "") -> Recording:
+def read_recording(path: Path, sensor: str | None = None) -> Recording:
     """Read the presses of a session; `sensor` replaces the name in it."""
-    session = Session(path)
+    return _recording(Session(path), sensor)
+
+
+def _recording(session: Session, sensor: str | None, finger: str = "") -> Recording:
     name = Path(str(session.path)).name
     if session.warning:
         raise LearningError(session.warning)

@@ -65,7 +65,7 @@ from trajectories import Plan, PressShear, Target, plan_from_json, plan_to_json
 logger = logging.getLogger(__name__)
 
 # Errors that may end a run, and their exit codes.
-EXIT_CODES: dict[type[BaseException], int] = {
+_EXIT_CODES: dict[type[BaseException], int] = {
     Interrupted: EXIT_INTERRUPTED,
     KeyboardInterrupt: EXIT_INTERRUPTED,
     SafetyStop: EXIT_SAFETY_STOP,
@@ -322,8 +322,7 @@ class Collector:
             except SessionError as error:
                 print(error, file=sys.stderr)
                 return EXIT_DEVICE_LOST
-            if stop is not None and not isinstance(stop, tuple(EXIT_CODES)):
-                raise stop
+            code = exit_code(stop)
         seconds = (self._clock.now_ns() - started_ns) / 1e9
         show_session(request.path, summaries, live.doubts)
         line = last_line(
@@ -341,9 +340,7 @@ class Collector:
         print(paint(line, "good" if stop is None else "fault"))
         if self._page is not None:
             self._page.say(status, line)
-        if stop is None:
-            return EXIT_DONE
-        return next(code for kind, code in EXIT_CODES.items() if isinstance(stop, kind))
+        return code
 
     def _zero_stand_ins(self, streams: Streams) -> None:
         if self._bench.no_gauge:
@@ -447,6 +444,16 @@ class Collector:
         except (SafetyStop, DeviceLost) as error:
             logger.error("no retract: %s", error)
             return False
+
+
+def exit_code(stop: BaseException | None) -> int:
+    """Return the exit code of a run that an error has ended, if any; raise one that has no code."""
+    if stop is None:
+        return EXIT_DONE
+    for kind, code in _EXIT_CODES.items():
+        if isinstance(stop, kind):
+            return code
+    raise stop
 
 
 def close_session(

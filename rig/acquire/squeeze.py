@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from recorder.command_line.errors import EXIT_DONE
 from recorder.session import SessionWriter, Stream, StreamWriter
 from recorder.spec import OUTCOMES, PHASES, action_spec
-from rig.acquire.collector import EXIT_CODES, close_session, show_session, software, states_of
+from rig.acquire.collector import close_session, exit_code, show_session, software, states_of
 from rig.acquire.control import InterruptFlag
 from rig.acquire.plan_runner import reference_columns
 from rig.acquire.streams import Streams, check_devices, notes_on
@@ -237,13 +236,11 @@ def collect_squeezes(
             reason += "; the fingers are still closed on the object"
         status, done = "complete" if stop is None else "stopped", squeezing.done
         summaries = close_session(bench.rate_hz, streams, writer, status, reason, done)
-    if stop is not None and not isinstance(stop, tuple(EXIT_CODES)):
-        raise stop
+    code = exit_code(stop)
     show_session(path, summaries)
     of = f"{done} of {len(steps)} steps, {squeezing.unsteady} not steady"
     print(f"{status}: {of}; {path}" + f" ({reason})" * bool(reason))
-    codes = (code for kind, code in EXIT_CODES.items() if isinstance(stop, kind))
-    return next(codes, EXIT_DONE)
+    return code
 
 
 def session_of(

@@ -54,8 +54,7 @@ class GraspObject:
         for name in ("width", "mass"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name}: {getattr(self, name)!r}; allowed: above 0")
-        if not self.friction >= 0:
-            raise ValueError(f"friction: {self.friction!r}; allowed: 0 or more")
+        _check_not_negative(self, "friction")
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +71,12 @@ class PairSpec:
     """Way by which each finger bends per grip force [m/N]; assumed, no hand was measured."""
 
     def __post_init__(self) -> None:
-        if not self.compliance >= 0:
-            raise ValueError(f"compliance: {self.compliance!r}; allowed: 0 or more")
+        _check_not_negative(self, "compliance")
+
+
+def _check_not_negative(one: object, name: str) -> None:
+    if not (value := getattr(one, name)) >= 0:
+        raise ValueError(f"{name}: {value!r}; allowed: 0 or more")
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,8 +120,7 @@ class PairBench(StreamBench):
     """Way by which each finger bends per grip force, of a mock's hand [m/N]."""
 
     def __post_init__(self) -> None:
-        if not self.compliance >= 0:
-            raise ValueError(f"compliance: {self.compliance!r}; allowed: 0 or more")
+        _check_not_negative(self, "compliance")
         if tuple(self.fingers) != FINGERS:
             raise ValueError(f"fingers: found {', '.join(self.fingers)}; allowed: left, right")
         if self.mock != all(finger.world is not None for finger in self.fingers.values()):
@@ -138,7 +140,7 @@ class PairBench(StreamBench):
                 f"squeeze.step_mm: {1e3 * squeeze.step:g}; allowed: {1e3 * gripper.per_count:g}, "
                 "one count of the gripper, or more"
             )
-        least = gripper.opening(gripper.closed) + squeeze.deepest
+        least = squeeze.deepest
         most = gripper.opening(0) - squeeze.clearance
         for each in self.objects:
             plain_name("objects.name", each.name)

@@ -46,11 +46,7 @@ def run(options: argparse.Namespace, content: dict[str, Any], path: Path) -> int
         stack.enter_context(logged_to(session))
         temporary = tempfile.TemporaryDirectory(prefix="tactile-rig-")
         folder, watch = Path(stack.enter_context(temporary)), None
-        names = [each.name for each in bench.objects]
-
-        def hands(check: Callable[[], None]) -> Hands:
-            return partial(_ask, names, check)
-
+        world: Hands | None = None
         if bench.mock:
             # Imported here, so that a collection on lab devices loads no emulator.
             from rig.mock.bench import MockHand
@@ -59,8 +55,8 @@ def run(options: argparse.Namespace, content: dict[str, Any], path: Path) -> int
             file, watch = mock.file, mock.check
             world = partial(inject, mock.hosts["left"], PORTS["world"])
 
-            def hands(check: Callable[[], None]) -> Hands:
-                return world
+        def hands(check: Callable[[], None]) -> Hands:
+            return world or partial(_ask, [each.name for each in bench.objects], check)
 
         more = {"operator": options.operator, "most": options.targets, "watch": watch}
         return collect_squeezes(file, folder, session, hands, **more)

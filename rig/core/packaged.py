@@ -9,6 +9,8 @@ from pathlib import Path
 _HOME = Path(__file__).parents[1] / "bench"
 # Mock benches and the calibration of their gauge.
 BENCHES = _HOME / "benches"
+# Files among them that are no bench of one sensor: the settings of all, and a hand's.
+OTHERS = ("mock", "pair")
 # Example campaign of one day.
 CAMPAIGNS = _HOME / "campaigns"
 

@@ -32,7 +32,7 @@ from rig.bench.indenter import find_indenter, indenter_names
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.config import from_si
 from rig.core.errors import ConfigError
-from rig.core.packaged import BENCHES, CAMPAIGNS
+from rig.core.packaged import BENCHES, CAMPAIGNS, OTHERS
 from trajectories import Plan, PressShear, plan_from_json
 
 # Sessions of one answer to a search, frames of a session that is shown, points of its curves.
@@ -446,9 +446,7 @@ class Lab:
         folder = self._folders.benches
         files: dict[str, Path] = {}
         for each in (BENCHES, folder, folder / "lab"):
-            files |= {
-                path.stem: path for path in each.glob("*.yaml") if path.stem not in ("mock", "pair")
-            }
+            files |= {path.stem: path for path in each.glob("*.yaml") if path.stem not in OTHERS}
         return dict(sorted(files.items())[:_MOST])
 
     def _named(self, name: str) -> Bench:

@@ -58,7 +58,7 @@ class SensorJob:
     """CSV of its forces, that must not exist."""
 
 
-# Name of a sensor, and what `watch` shows of a frame.
+# Name of a sensor, and the arguments of `show` (`watch`).
 Felt = tuple[str, "LiveForce", int, float, "Triple | None"]
 
 

@@ -48,7 +48,7 @@ from rig.core.clock import SECOND_NS
 from rig.core.config import read_yaml
 from rig.core.errors import ConfigError, SafetyStop
 from rig.core.guard import GuardLimits, MotionGuard
-from rig.core.packaged import BENCHES
+from rig.core.packaged import BENCHES, OTHERS
 from rig.core.samples import FORCE_LATEST, POSE_LATEST, SIGNAL_LATEST
 from rig.core.shared_memory import SharedLatest
 from rig.core.stand_in_guards import CrashGuard, SignalGuard
@@ -66,7 +66,7 @@ def bench_of(sensor: str, **more: Any) -> Bench:
 
 @pytest.mark.parametrize(
     "sensor",
-    sorted(path.stem for path in BENCHES.glob("*.yaml") if path.stem not in ("mock", "pair")),
+    sorted(path.stem for path in BENCHES.glob("*.yaml") if path.stem not in OTHERS),
 )
 def test_every_packaged_mock_bench_may_be_used_without_its_gauge(sensor: str) -> None:
     bench = bench_of(sensor)

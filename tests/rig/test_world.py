@@ -16,7 +16,7 @@ from rig.bench.expected import mount_of
 from rig.bench.worlds import Grip, Lab, WorldSpec
 from rig.core.config import build
 from rig.core.errors import ConfigError
-from rig.core.packaged import BENCHES
+from rig.core.packaged import BENCHES, OTHERS
 from rig.core.samples import WORLD_STATE
 from rig.devices.arm.emulated_arm import PoseError
 from rig.mock.world import LadderWorld, load_view
@@ -92,9 +92,7 @@ def test_a_domed_sensor_is_touched_at_its_own_height() -> None:
 
 
 def test_benches_differ_where_the_papers_sensors_do(tmp_path: Path) -> None:
-    names = [
-        path.stem for path in sorted(BENCHES.glob("*.yaml")) if path.stem not in ("mock", "pair")
-    ]
+    names = [path.stem for path in sorted(BENCHES.glob("*.yaml")) if path.stem not in OTHERS]
     seen: dict[str, tuple[Any, ...]] = {}
     for name in names:
         bench = BenchFile.read(BENCHES / f"{name}.yaml").bench

@@ -127,10 +127,10 @@ class PairWorld:
         self._speed = way / (seconds or 1.0)
         self._way = self._way + way
         for side, press in enumerate(self._presses):
-            before, aside = press.stuck, _SIDES[side] * way
-            press.move(np.array([*(_SIDES[side] * self._way), -self._depth[side]]), seconds)
+            tip = np.array([*(_SIDES[side] * self._way), -self._depth[side]])
+            slid = press.slide(tip, seconds)
             if lifted and normal[side].any():
-                self._slip[side] += math.hypot(*(aside - (press.stuck - before)))
+                self._slip[side] += slid
         lost = not any(one.any() for one in normal) or math.hypot(*self._way) > _LOST
         self._dropped = bool(lifted and lost)
         return self._state()
